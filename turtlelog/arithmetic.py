@@ -25,6 +25,18 @@ fmod = math.fmod
 floor, ceil = math.floor, math.ceil
 """Whole numbers. In compiled code, whole numbers are floats, so that no large value overflows."""
 
+GAUSS_LEGENDRE: Final = (
+    (0.019855071751231912, 0.05061426814518853),
+    (0.10166676129318664, 0.11119051722668721),
+    (0.2372337950418355, 0.15685332293894344),
+    (0.4082826787521751, 0.18134189168918083),
+    (0.5917173212478248, 0.18134189168918083),
+    (0.7627662049581645, 0.15685332293894344),
+    (0.8983332387068134, 0.11119051722668721),
+    (0.9801449282487681, 0.05061426814518853),
+)
+"""Nodes and weights of Gauss-Legendre quadrature on [0, 1]."""
+
 
 def called(function: _Function) -> _Function:
     """Mark a long function that compiled code calls instead of inlining."""
@@ -78,6 +90,20 @@ def most(left: float, right: float) -> float:
 def clip(value: float, limit: float) -> float:
     """Return a value clipped to a magnitude."""
     return limit if value > limit else -limit if value < -limit else value
+
+
+def rub(command: float, deadband: float, friction: float) -> float:
+    """Return what deadband and friction leave of a command."""
+    if abs(command) <= deadband:
+        return 0.0
+    return command - clip(command, friction)
+
+
+def want_rate(command: float, gain: float, reverse_gain: float, bound: float) -> float:
+    """Return the rate that a command leads to; a reverse gain of NaN means the normal gain."""
+    if command < 0.0 and not math.isnan(reverse_gain):
+        gain = reverse_gain
+    return clip(gain * command, bound)
 
 
 def wrap_angle(angle_rad: float) -> float:

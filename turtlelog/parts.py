@@ -196,6 +196,16 @@ def _list_neutral(
     return tuple((attrgetter(key), neutral[key]) for key in keys or neutral)
 
 
+Dynamics = Literal["integrator", "first-order", "other"]
+"""How the rates of a plant follow its commands:
+
+- `integrator`: each rate is the held command, so heading and distance are its integral, 1/s.
+- `first-order`: each rate follows with the gain, dead time, time constant and limits in the keys
+  `speed_gain`, `turn_lag_s` and so on of `plants/lagged.py`.
+- `other`: in another way, of which theory has no model.
+"""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plant:
     """The facts of a plant that the loop around it needs.
@@ -205,8 +215,17 @@ class Plant:
         period_ns: Duration of one step [ns].
         low_m: Smallest allowed coordinate of start and goal [m].
         high_m: Largest allowed coordinate of start and goal [m].
+        acts_in_steps: Whether a command or disturbance acts on the whole step in which it arrives;
+            one command is taken per step. Otherwise both act from their time of arrival.
+        turns_first: Whether each step turns the robot, then moves it along the new heading.
+            Otherwise the robot turns while it moves, along an arc if its rates are constant.
+        holds_rates: Whether the rates are constant within a step, so that a pose reports the rates
+            of the step before it. Otherwise a pose reports the rates at its time.
+        dynamics: How the rates follow the commands.
         watchdog_ns: Time after the last taken command beyond which the plant stops, for any period
             [ns]; inf: the plant never stops.
+        has_live_logs: Whether others log this plant, with the jitter of a wall clock. Otherwise
+            only simulations have it, on their exact clock.
         steps_per_tick: Number of steps per tick of the original plant; 1 unless the clock is finer.
     """
 
@@ -214,7 +233,12 @@ class Plant:
     period_ns: int
     low_m: float
     high_m: float
+    acts_in_steps: bool
+    turns_first: bool
+    holds_rates: bool
+    dynamics: Dynamics
     watchdog_ns: float = math.inf
+    has_live_logs: bool = False
     steps_per_tick: int = 1
 
     @property
@@ -253,8 +277,6 @@ class PlantPart:
             impossible.
         read: Function of a state that returns x [m], y [m], heading [rad], magnitude of the
             velocity [m/s] and turn rate [rad/s].
-        acts_in_steps: Whether a command or disturbance acts on the whole step in which it arrives;
-            one command is taken per step. Otherwise both act from their time of arrival.
         delays: Keys of delays, which must not be longer than a run.
         causes: Causes for `explain`: optional limits of the plant, with keys that are None without
             a limit.
@@ -271,7 +293,6 @@ class PlantPart:
     push: Callable[..., Any]
     move: Callable[..., Any]
     read: Callable[..., Any]
-    acts_in_steps: bool
     Waiting: type | None = None
     delays: tuple[str, ...] = ()
     causes: tuple[Cause, ...] = ()

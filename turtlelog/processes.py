@@ -1,4 +1,4 @@
-"""Work on many items in several processes, and signals that ask a process to stop.
+"""Work on many items in several processes.
 
 Results come in order, and never many of them are in memory.
 
@@ -14,15 +14,16 @@ import threading
 import warnings
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import suppress
 from itertools import islice
 from pathlib import Path
-from types import FrameType, MappingProxyType
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
 
 from turtlelog.errors import ProcessError, RemoteError, describe_error, make_portable
 from turtlelog.files.urls import RemotePath, make_path
+from turtlelog.stop_signals import block_signals, find_signals
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor, Future
@@ -181,17 +182,12 @@ def start_pool(jobs: int) -> "Executor":
     _pickle_read_only_mappings()
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_prepare_worker)
-    with _block_signals(_OF_PARENT):
+    with block_signals(_OF_PARENT):
         pool.submit(os.getpid)  # starts all of them
     return pool
 
 
-def _find_signals(*names: str) -> tuple[signal.Signals, ...]:
-    """Return the signals with these names that exist, because Windows lacks some."""
-    return tuple(getattr(signal, name) for name in names if hasattr(signal, name))
-
-
-_OF_PARENT: Final = _find_signals("SIGINT", "SIGHUP")
+_OF_PARENT: Final = find_signals("SIGINT", "SIGHUP")
 """Signals that reach all processes: Ctrl-C and the end of a terminal. The parent ends the
 others."""
 
@@ -271,7 +267,7 @@ class _Worker:
         self._process = context.Process(target=_serve, args=(theirs, work), daemon=True)
         # A forked process has handlers of its parent until it is prepared.
         until_prepared = (signal.SIGTERM,) if start == "fork" else ()
-        with _block_signals((*_OF_PARENT, *until_prepared)), warnings.catch_warnings():
+        with block_signals((*_OF_PARENT, *until_prepared)), warnings.catch_warnings():
             # Newer Pythons warn of a fork beside threads, such as those of a library that is idle.
             warnings.simplefilter("ignore", DeprecationWarning)
             self._process.start()
@@ -364,104 +360,3 @@ def _pickle_read_only_mappings() -> None:
 
 def _make_read_only(mapping: dict[Any, Any]) -> "MappingProxyType[Any, Any]":
     return MappingProxyType(mapping)
-
-
-@contextmanager
-def _block_signals(numbers: Sequence[signal.Signals]) -> Iterator[None]:
-    """Block these signals in a process that is started, even before its first line."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    former = signal.pthread_sigmask(signal.SIG_BLOCK, numbers)
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, former)
-
-
-_KEYBOARD: Final = _find_signals("SIGINT", "SIGQUIT")
-_REQUESTS: Final = _find_signals("SIGTERM", "SIGHUP")
-_STOPS: Final = (*_KEYBOARD, *_REQUESTS)
-
-
-@contextmanager
-def catch_stop() -> Iterator[list[int]]:
-    """Record SIGINT, SIGTERM, SIGHUP and SIGQUIT instead of ending; a second signal interrupts.
-
-    The block checks the yielded list of signals at suitable times. If SIGTERM or SIGHUP was ignored
-    before, as under `nohup`, it stays ignored. SIGINT and SIGQUIT are handled in any case, because
-    a shell ignores them for every background job of a script. Outside the main thread, where Python
-    delivers no signals, nothing changes.
-    """
-    caught: list[int] = []
-
-    def note(number: int, _frame: FrameType | None) -> None:
-        if caught:
-            raise KeyboardInterrupt
-        caught.append(number)
-
-    ignored = [number for number in _REQUESTS if signal.getsignal(number) == signal.SIG_IGN]
-    with _handle_signals(note, [number for number in _STOPS if number not in ignored]):
-        yield caught
-
-
-@contextmanager
-def hold_stop() -> Iterator[None]:
-    """Delay the signals of `catch_stop` until the block ends."""
-    held: list[int] = []
-    try:
-        with _handle_signals(lambda number, _frame: held.append(number), _STOPS):
-            yield
-    finally:
-        for number in dict.fromkeys(held):
-            signal.raise_signal(number)
-
-
-@contextmanager
-def exit_on_terminate() -> Iterator[None]:
-    """Make SIGTERM, SIGHUP and SIGQUIT raise an exception in the block, so that files are finished.
-
-    Ctrl-C raises an exception by default. Existing settings by `nohup` or a handler stay. On
-    Windows, only a console sends SIGTERM; ending a task kills the process.
-    """
-    signals = _find_defaults((*_REQUESTS, *_KEYBOARD))
-    with _handle_signals(lambda number, _frame: sys.exit(128 + number), signals):
-        yield
-
-
-@contextmanager
-def interrupt_on_quit() -> Iterator[None]:
-    """Make SIGQUIT act like Ctrl-C if the default action of SIGQUIT is set."""
-    with _handle_signals(signal.default_int_handler, _find_defaults(_find_signals("SIGQUIT"))):
-        yield
-
-
-def _find_defaults(numbers: Iterable[signal.Signals]) -> list[signal.Signals]:
-    return [number for number in numbers if signal.getsignal(number) == signal.SIG_DFL]
-
-
-@contextmanager
-def _handle_signals(
-    handler: Callable[[int, FrameType | None], object], numbers: Iterable[signal.Signals]
-) -> Iterator[None]:
-    """Set a handler during the block, only in the main thread, because Python allows no other."""
-    before = {}
-    try:
-        if threading.current_thread() is threading.main_thread():
-            for number in numbers:
-                before[number] = signal.getsignal(number)
-                if before[number] is not None:  # None: set outside Python
-                    signal.signal(number, handler)
-        yield
-    finally:
-        try:
-            _restore_handlers(before)
-        except BaseException:  # restored handlers may raise an error before the others are restored
-            _restore_handlers(before)
-            raise
-
-
-def _restore_handlers(before: Mapping[signal.Signals, Any]) -> None:
-    for number, previous in before.items():
-        if previous is not None:
-            signal.signal(number, previous)

@@ -11,7 +11,7 @@ import turtlelog as tl
 from tests.check.recordings import simulate
 from turtlelog.check.spec_templates import choose_bound, find_doubt, format_first_spec
 from turtlelog.measure import find_metric_kind
-from turtlelog.measure.pose_quality import measure_noise
+from turtlelog.measure.pose_noise import measure_noise
 from turtlelog.run import Origin
 
 

@@ -33,7 +33,7 @@ ANSWERS: Final = {
     "metrics -o TABLE": "metrics:TableAnswer",
     "compare": "compare_answer:_AcrossAnswer",
     "compare --reference": "compare_reference:_ReferenceAnswer",
-    "compare --why": "compare_why:WhyAnswer",
+    "compare --why": "compare:WhyAnswer",
     "compare --reference --ate": "compare_trajectories:TrajectoriesAnswer",
     "compare BAG SCENARIO": "compare_reference:_RobotAnswer",
     "explain": "explain:ExplainAnswer",

@@ -10,7 +10,8 @@ from tests.explain.logs import as_log, forget, simulate
 from turtlelog.explain import Certainty, Finding, identify_run
 from turtlelog.measure import DeadTime, Missing, find_dead_time
 from turtlelog.measure.dead_time import LagInstead
-from turtlelog.measure.motion import find_coarse_step, is_within_steps
+from turtlelog.measure.motion import is_within_steps
+from turtlelog.measure.pose_noise import find_coarse_step
 from turtlelog.run import Run
 
 COARSE = {

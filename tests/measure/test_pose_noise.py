@@ -8,14 +8,15 @@ import pytest
 import turtlelog as tl
 from tests.measure.driven import Values, make_driven_run, publish
 from tests.measure.driven_robots import read, tell
-from turtlelog.measure.breaks import find_jumps, find_pose_resolution
-from turtlelog.measure.motion import find_dither_step
-from turtlelog.measure.pose_quality import (
-    describe_poses,
+from turtlelog.measure.breaks import find_jumps
+from turtlelog.measure.pose_noise import (
+    find_dither_step,
+    find_pose_resolution,
     find_scatter,
     measure_noise,
     measure_rate_noise,
 )
+from turtlelog.measure.pose_quality import describe_poses
 from turtlelog.run import Origin, take_rows
 from turtlelog.run.angles import wrap_angle
 

@@ -146,7 +146,14 @@ PART = PlantPart(
     meaning="a sled",
     Keys=SledKeys,
     find_facts=lambda keys: Plant(
-        name="sled", period_ns=round(keys.period_s * 1e9), low_m=-1e6, high_m=1e6
+        name="sled",
+        period_ns=round(keys.period_s * 1e9),
+        low_m=-1e6,
+        high_m=1e6,
+        acts_in_steps=True,
+        turns_first=True,
+        holds_rates=True,
+        dynamics="other" if keys.friction else "integrator",
     ),
     State=SledState,
     begin=begin,
@@ -154,7 +161,6 @@ PART = PlantPart(
     push=push,
     move=move,
     read=read,
-    acts_in_steps=True,
 )
 """
 
@@ -201,6 +207,27 @@ def run(copy: Path, *words: str) -> str:
 
 def ask(copy: Path, *words: str) -> Any:
     return json.loads(run(copy, "-m", "turtlelog", *words, "--json"))
+
+
+CALLS = """
+import contextlib, io, json, sys
+from turtlelog.cli.app import main
+
+answers = []
+for words in json.loads(sys.argv[1]):
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        try:
+            main(words.split())
+        except SystemExit as end:
+            answers.append((end.code, out.getvalue() + err.getvalue()))
+print(json.dumps(answers))
+"""
+
+
+def call(copy: Path, *commands: str) -> list[tuple[int, str]]:
+    """Return exit code and text of each command; all run in one process."""
+    return [tuple(one) for one in json.loads(run(copy, "-c", CALLS, json.dumps(commands)))]
 
 
 def read_metrics(found: Any) -> dict[str, float]:
@@ -261,3 +288,99 @@ def test_new_parts_are_compiled_as_they_run_plain(copy: Path) -> None:
         "print((one.poses.sensed_xy_m == two.poses.sensed_xy_m).all())\n"
     )
     assert run(copy, "-c", code).split() == ["True", "51", "enough", "True"]
+
+
+ROUGH = "textbook --set plant.kind=sled --set plant.friction=0.25"
+UNKNOWN = "theory knows no plant of the kind sled"
+
+
+@pytest.fixture(scope="module")
+def sled(copy: Path) -> Path:
+    recorded, scenario = call(copy, f"run {ROUGH} -o sled.mcap", f"scenario {ROUGH}")
+    assert (recorded[0], scenario[0]) == (0, 0), (recorded, scenario)
+    (copy / "sled.toml").write_text(scenario[1], "utf-8")
+    return copy
+
+
+def test_a_new_plant_is_replayed_by_its_own_step(sled: Path) -> None:
+    """The sled is simulated in another process."""
+    found = ask(sled, "replay", "sled.mcap", "--plant")
+    assert (found["first_difference"], found["heading_bits"]) == (None, 64)
+    assert (found["stretches"][0]["ticks"], found["jumps"], found["gaps"]) == (1277, [], [])
+
+
+def test_theory_has_no_model_of_a_new_plant_unless_it_declares_one(sled: Path) -> None:
+    """Four commands take 2 s."""
+    recorded, rough, smooth, turtle = call(
+        sled,
+        "theory sled.mcap --json",
+        f"theory {ROUGH} --json",
+        "theory textbook --set plant.kind=sled --json",
+        "theory textbook --json",
+    )
+    for code, text in (recorded, rough):
+        assert (code, {loop["reason"] for loop in json.loads(text)["loops"]}) == (0, {UNKNOWN})
+    # Without friction it declares 1/s, of which P control is stable up to 2 / T.
+    for (_, text), limit in ((smooth, 2.0 / 0.02), (turtle, 2.0 / 0.016)):
+        stable = [loop["sampled"]["stable_gains"] for loop in json.loads(text)["loops"]]
+        assert stable == [[[0.0, pytest.approx(limit)]]] * 2
+
+
+def test_a_new_plant_has_no_figures_of_the_plant_1_over_s(sled: Path) -> None:
+    """matplotlib is loaded in another process."""
+    only = "plot sled.mcap -o pics --only"
+    plant, locus, plane = call(
+        sled, f"{only} plant", f"{only} root-locus", f"{only} step-responses,plane,speed"
+    )
+    assert (plant[0], locus[0], plane[0]) == (2, 2, 0), plane
+    assert plant[1].strip().endswith("figure plant needs a plant that is 1/s")
+    assert UNKNOWN in locus[1]
+
+
+@pytest.mark.thorough
+def test_a_new_plant_is_measured_and_identified_as_a_robot(sled: Path) -> None:
+    """The fit takes 5 s."""
+    metrics, identified = call(sled, "metrics sled.mcap --all --json", "identify sled.mcap --json")
+    (found,) = json.loads(metrics[1])
+    values = {one["id"]: one["value"] for one in found["metrics"]}
+    # The sled turns at the commanded rate, and drives at 75 % of the commanded speed.
+    assert (values["rotate.dead_time"], values["translate.dead_time"]) == (0.0, None)
+    gains = [axis["gain"]["value"] for axis in json.loads(identified[1])["axes"]]
+    assert gains == pytest.approx([0.75, 1.0])
+
+
+@pytest.mark.thorough
+def test_a_new_plant_is_compared_explained_and_checked(sled: Path) -> None:
+    """Six commands take 5 s."""
+    robot, made, compared, explained, init, checked = call(
+        sled,
+        "compare sled.toml sled.mcap",
+        "run textbook -o turtle.mcap",
+        "compare sled.mcap turtle.mcap --json",
+        "explain sled.mcap",
+        "check --init sled.mcap -o spec.toml",
+        "check spec.toml sled.mcap",
+    )
+    assert robot[0] == 2
+    assert "not sled; turtlelog replay drives sled with recorded commands" in robot[1]
+    codes = [code for code, _ in (made, compared, explained, init, checked)]
+    assert codes == [0] * 5, (compared, explained, init, checked)
+    assert '"plant.kind"' in compared[1]
+    assert "turtlesim" not in explained[1]
+
+
+def test_recorded_commands_drive_a_new_plant(sled: Path) -> None:
+    """The sled is simulated in another process."""
+    code = (
+        "import turtlelog as tl\n"
+        "turtle = tl.simulate.simulate_run(tl.scenario.get_preset('textbook'))\n"
+        "samples = tl.run.take_rows(turtle.samples, slice(0))\n"
+        "given = {'poses': turtle.poses, 'commands': turtle.commands, 'samples': samples}\n"
+        "bag = tl.run.Run(name='bag', source='test', **given)\n"
+        "found = tl.replay.drive_commands(bag, tl.scenario.read_scenario('sled.toml'))\n"
+        "again = tl.replay.drive_commands(bag)\n"
+        "print(found.plant, found.path_length_m / again.path_length_m)\n"
+    )
+    plant, ratio = run(sled, "-c", code).split()
+    assert plant == "sled"
+    assert float(ratio) == pytest.approx(0.75, abs=0.01)

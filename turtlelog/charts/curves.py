@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from turtlelog.measure import find_first_stretch, find_signal, list_signals, read_reference
 from turtlelog.measure.rates import measure_forward_steps
 from turtlelog.measure.references import project_on_line
-from turtlelog.plants import LAGGED, find_plant
+from turtlelog.plants import find_plant
 from turtlelog.run import Run
 from turtlelog.run.angles import subtract_headings
 from turtlelog.run.loops import DONE, PAUSE, REFERENCE_WORDS, ControlLoop, find_disturbance
@@ -114,8 +114,7 @@ def read_command(run: Run, command: Command) -> Curve | None:
 def read_applied(run: Run, command: Command) -> Curve | None:
     """Return the applied `speed` or `turn_rate` of the plant; None if not recorded.
 
-    turtlesim publishes the magnitude of the applied speed: negative where poses move backward. Its
-    applied values are constant over a tick; the robot model reports the rates at the pose.
+    The plant publishes the magnitude of the applied speed: negative where poses move backward.
     """
     poses = run.poses
     values = poses.speed_m_s if command == "speed" else poses.turn_rate_rad_s
@@ -123,7 +122,7 @@ def read_applied(run: Run, command: Command) -> Curve | None:
         return None
     if command == "speed":
         values = np.where(measure_forward_steps(poses) < 0.0, -abs(values), values)
-    holds = find_plant(run).name != LAGGED
+    holds = find_plant(run).holds_rates
     return Curve(start_ns=run.start_ns, time_ns=poses.time_ns, values=values, holds=holds)
 
 

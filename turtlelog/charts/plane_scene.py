@@ -12,7 +12,7 @@ from turtlelog.errors import ReplayError, ShowError
 from turtlelog.measure import find_outliers
 from turtlelog.measure.breaks import find_gap_rows
 from turtlelog.measure.references import hold_reference
-from turtlelog.plants import LAGGED, TURTLESIM, find_plant
+from turtlelog.plants import TURTLESIM, find_plant
 from turtlelog.plants.turtlesim import WORLD_SIZE_M
 from turtlelog.replay.breaks_and_commands import find_breaks, read_motion
 from turtlelog.run import Run
@@ -48,7 +48,7 @@ def is_in_world(runs: Sequence[Run]) -> bool:
 
     The result is False for a robot other than turtlesim, or one known to have no walls.
     """
-    if any(find_plant(run) != TURTLESIM or not is_turtlesim(run) for run in runs):
+    if not all(is_turtlesim(run) for run in runs):
         return False
     places = [list_places(run) for run in runs]
     return all(xy_m.min() >= 0.0 and xy_m.max() <= WORLD_SIZE_M for xy_m in places)
@@ -269,7 +269,7 @@ def is_turtlesim(run: Run) -> bool:
     A run with a controller's samples counts as turtlesim's.
     """
     publishes = run.poses.speed_m_s is not None or len(run.samples) > 0
-    return publishes and find_plant(run).name != LAGGED
+    return publishes and find_plant(run) == TURTLESIM
 
 
 _FARTHEST_M: Final = 1e150

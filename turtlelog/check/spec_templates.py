@@ -27,7 +27,7 @@ from turtlelog.measure import (
     list_metrics,
     measure_run,
 )
-from turtlelog.measure.pose_quality import find_scatter, measure_noise
+from turtlelog.measure.pose_noise import find_scatter, measure_noise
 from turtlelog.measure.rates import space_poses
 from turtlelog.plants import TURTLESIM, find_plant
 from turtlelog.run import Run, take_rows

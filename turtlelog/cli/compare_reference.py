@@ -288,10 +288,11 @@ def compare_with_robot(
         )
     require_pictures(plot, rrd, files, drawn=bags, of="bag")
     scenario = tl.scenario.read_scenario(scenario_file)
-    if scenario.plant.kind != "lagged":
+    if scenario.plant.facts.dynamics != "first-order":
         raise UsageError(
             f'{scenario_file}: must be the scenario of a robot, plant.kind = "lagged", not'
-            f" {scenario.plant.kind}; turtlelog replay drives turtlesim with recorded commands"
+            f" {scenario.plant.kind}; turtlelog replay drives {scenario.plant.kind} with recorded"
+            " commands"
         )
     found: list[tuple[Path, tl.compare.RobotComparison]] = []
     is_fine = True

@@ -211,7 +211,8 @@ def _format_commands(
     answer: CommandReplayAnswer,
     words: Sequence[str],
 ) -> str:
-    kind = "turtlesim" if found.plant == "turtlesim" else "the robot model"
+    plant = tl.plants.find_plant(found.run)
+    kind = "the robot model" if plant.dynamics == "first-order" else plant.name
     end, name = answer.end, escape_controls(file.name)
     sentences = [
         f"{name}: the commands drive {kind} {format_short(found.path_length_m, 'm')} in"
@@ -221,7 +222,8 @@ def _format_commands(
     ]
     if found.wall_s is not None:
         sentences.append(
-            f"At {found.wall_s:.3g} s it runs into a wall of turtlesim's world, 11 m wide: from"
+            f"At {found.wall_s:.3g} s it runs into a wall of {plant.name}'s world,"
+            f" {plant.high_m - plant.low_m:.0f} m wide: from"
             " there on a robot would drive elsewhere. A robot model has no walls: --scenario"
             " robot.toml, which turtlelog identify --scenario writes, or --scenario lagged."
         )

@@ -375,7 +375,7 @@ def format_plant(file: Path, run: "tl.Run", found: "tl.replay.PlantReplay") -> s
     use = found.commands
     stops = f"; the plant stopped by itself {use.stops} times" if use.stops else ""
     rounding = "one step of the 32 bits of a pose, for other platforms"
-    if tl.plants.find_plant(run).name != tl.plants.LAGGED:
+    if tl.plants.find_plant(run) == tl.plants.TURTLESIM:
         unsigned = ", and of velocities used as recorded, without a sign,"
         first_pose = "the 32 bits of a segment's first pose" + unsigned * (
             use.unexplained_ticks > 0

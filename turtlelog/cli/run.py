@@ -278,7 +278,7 @@ def _drive(scenario: "Scenario", output: Path | None, live: LiveOptions, url: st
 
         ticks = iterate_ticks(scenario, step_budget_s=step_budget_s)
         return collect_run(scenario, watch_ticks(ticks, scenario.max_duration_s))
-    from turtlelog.processes import hold_stop, interrupt_on_quit
+    from turtlelog.stop_signals import hold_stop, interrupt_on_quit
 
     with ExitStack() as closing:
         closing.enter_context(interrupt_on_quit())

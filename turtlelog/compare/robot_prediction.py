@@ -241,7 +241,7 @@ class _Stack:
 
 
 def _require_sense(run: Run, scenario: Scenario, horizons_s: Sequence[float]) -> None:
-    if scenario.plant.kind != "lagged":
+    if scenario.plant.facts.dynamics != "first-order":
         expected = 'expected a scenario of a robot, with plant.kind = "lagged"'
         raise CompareError(f"{scenario.name}: {expected}, found {scenario.plant.kind}")
     if not horizons_s or not all(math.isfinite(one) and one > 0.0 for one in horizons_s):

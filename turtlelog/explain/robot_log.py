@@ -23,7 +23,6 @@ from turtlelog.identify.robot_model import AxisModel, Estimate, RobotModel
 from turtlelog.identify.robot_noise import measure_disturbance_noise, measure_sensing_noise
 from turtlelog.measure import Outlier, find_metric_kind, list_outliers
 from turtlelog.measure.breaks import PoseGap, PoseJump, find_gaps, find_jumps
-from turtlelog.plants import LAGGED, find_plant
 from turtlelog.replay import PlantReplay, follow_commands, moves_as_turtlesim, replay_plant
 from turtlelog.run import Run
 from turtlelog.run.loops import Cause
@@ -381,7 +380,7 @@ class MotionFacts:
 
 def read_motion_facts(run: Run) -> MotionFacts:
     """Return facts from the poses and commands of a run, with or without samples."""
-    is_turtlesim = find_plant(run).name != LAGGED and moves_as_turtlesim(run)
+    is_turtlesim = moves_as_turtlesim(run)
     replay, refused = None, ""
     if is_turtlesim:
         try:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import IdentifyError
 from turtlelog.identify.held_response import HeldInput, Values, hold_commands
-from turtlelog.measure.motion import find_spacing
+from turtlelog.measure.pose_noise import find_spacing
 from turtlelog.measure.pose_quality import find_travel_direction
 from turtlelog.run import PoseColumns, Run
 from turtlelog.run.angles import subtract_headings, wrap_angle

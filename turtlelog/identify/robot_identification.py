@@ -399,7 +399,7 @@ def _identify_ticks(runs: Sequence[Run]) -> RobotModel | None:
 
 def _list_delays(run: Run) -> _Shown | None:
     """Return the commands visible in poses, with their delays; None if ticks are unknown."""
-    if find_plant(run) is not TURTLESIM:
+    if find_plant(run) != TURTLESIM:
         return None
     try:
         motion = read_motion(run)

@@ -14,7 +14,6 @@ from turtlelog.escapes import escape_controls
 from turtlelog.identify.axis_motion import NAMES, OTHER, UNITS, Axis, get_commands
 from turtlelog.identify.robot_model import AxisModel, RobotModel
 from turtlelog.identify.robot_noise import WRITTEN_DIGITS, list_noise, round_written
-from turtlelog.plants import LAGGED
 from turtlelog.run import Run
 from turtlelog.run.loops import LIMIT_KEYS, PLANT_KEYS
 from turtlelog.scenario import Scenario, format_scenario, get_preset, override_scenario
@@ -145,7 +144,7 @@ def build_robot_scenario(model: RobotModel, runs: Run | Sequence[Run]) -> RobotS
         " `turtlelog theory` recommends gains for this file."
     )
     # The plant first, because its world has no walls.
-    base = replace(get_preset(LAGGED), name=LAGGED)
+    base = replace(get_preset("lagged"), name="lagged")
     try:
         scenario = override_scenario(base, values, source="identified robot")
     except ScenarioError as err:

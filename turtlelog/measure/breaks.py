@@ -25,18 +25,22 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from turtlelog.measure.motion import find_dither_step
+from turtlelog.measure.pose_noise import (
+    AROUND,
+    find_pose_resolution,
+    measure_length,
+    measure_steps,
+    measure_variances,
+)
 from turtlelog.measure.rates import (
     GAP_STEPS,
     NEIGHBOURS,
-    STEADY,
     find_changing_rows,
     find_usual_step,
 )
 from turtlelog.measure.reductions import Values, compute_median
 from turtlelog.measure.references import recall
 from turtlelog.run import PoseColumns, Run, take_rows
-from turtlelog.run.angles import subtract_headings
 
 _Pair = tuple[float, float]
 
@@ -135,38 +139,6 @@ def find_gap_rows(time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
 def find_jumps(run: Run) -> tuple[PoseJump, ...]:
     """Return the steps that the robot cannot have driven: too fast, or a corrected pose."""
     return recall(run, "jumps", lambda: _find_jumps(run))
-
-
-def find_pose_resolution(run: Run) -> _Pair:
-    """Return the resolution of positions [m] and of headings [rad]; 0 if it does not matter."""
-    return recall(run, "pose_resolution", lambda: _find_resolution(run.poses))
-
-
-def _find_resolution(poses: PoseColumns) -> _Pair:
-    if poses.speed_m_s is not None:
-        return 0.0, 0.0
-    rows = find_changing_rows(poses)
-    few, many = np.quantile(np.diff(rows), [0.1, 0.9]) if len(rows) > 1 else (1.0, 1.0)
-    if many <= STEADY * few:  # poses are repeated, and not coarse
-        poses = take_rows(poses, rows)
-    if len(poses) < 3:
-        return 0.0, 0.0
-    step_ns = np.diff(poses.time_ns)
-    poses = take_rows(poses, np.append(True, step_ns >= _CROWDED * compute_median(step_ns)))
-    step_ns = np.diff(poses.time_ns)
-    ahead_m, _, turned_rad = measure_steps(poses)  # ahead, encoders count ticks
-    steps = np.vstack([*np.diff(poses.xy_m, axis=0).T, ahead_m, turned_rad])
-    # Steps over lost poses are longer, and are divided. Jitter leaves the others as they are, and
-    # repeated poses all: the resolution decides when they change.
-    longer = step_ns / compute_median(step_ns)
-    steps /= np.where((np.abs(longer - 1.0) > _JITTER) & (few <= 1.0), longer, 1.0)
-    *positions_m, turns_rad = map(find_dither_step, steps)
-    return max(positions_m), turns_rad
-
-
-_CROWDED, _JITTER = 0.25, 0.2
-"""Share of the usual step below which a pose is left out, and by which times of steps jitter: lost
-poses make steps at least half as long again."""
 
 
 def _find_jumps(run: Run) -> tuple[PoseJump, ...]:
@@ -277,15 +249,6 @@ def _find_excess(step: Values, step_ns: NDArray[np.int64], is_late: NDArray[np.b
     return excess
 
 
-def measure_steps(poses: PoseColumns) -> tuple[Values, Values, Values]:
-    """Return each step along and across the mean heading of its poses [m], and turned [rad]."""
-    turned_rad = subtract_headings(poses.heading_rad[1:], poses.heading_rad[:-1])
-    mean_rad = poses.heading_rad[:-1] + 0.5 * turned_rad
-    x_m, y_m = np.diff(poses.xy_m, axis=0).T
-    cos, sin = np.cos(mean_rad), np.sin(mean_rad)
-    return x_m * cos + y_m * sin, y_m * cos - x_m * sin, turned_rad
-
-
 _AVERAGED: Final = (2, 4)
 """Number of poses that are averaged on either side: two, or four of a fast sensor."""
 
@@ -324,11 +287,6 @@ _OFF: Final = 2.5
 """Deviation of a mean rate from the median, in standard deviations, at which the mean contains
 another correction."""
 
-_AROUND: Final = 5
-_BLOCK: Final = 12
-"""Number of steps on either side whose median is the motion without noise. The same number is the
-size of a block of noise, which with its neighbouring blocks is a second at 36 Hz."""
-
 _EXACT: Final = 1e-9
 """Size below which a step is 64-bit rounding [m, rad]."""
 
@@ -351,7 +309,7 @@ class _Motion:
 def find_corrections(poses: PoseColumns, resolution: _Pair = (0.0, 0.0)) -> NDArray[np.bool_]:
     """Return which steps between poses are corrections of the position or the heading."""
     found = np.zeros(len(poses) - 1, dtype=np.bool_)
-    if len(found) <= 2 * _AROUND:
+    if len(found) <= 2 * AROUND:
         return found
     ahead_m, aside_m, turned_rad = measure_steps(poses)
     time_s = (poses.time_ns - poses.time_ns[0]) / 1e9
@@ -364,7 +322,7 @@ def find_corrections(poses: PoseColumns, resolution: _Pair = (0.0, 0.0)) -> NDAr
         (turned_rad[:, np.newaxis], np.array([turning]), resolution[1]),
     ):
         with np.errstate(over="ignore", invalid="ignore"):  # of noise that no robot has
-            pose_variance, step_variance = _measure_noise(steps, step_s)
+            pose_variance, step_variance = measure_variances(steps, step_s)
         motion = _Motion(
             time_s=time_s,
             step_s=step_s,
@@ -380,36 +338,6 @@ def find_corrections(poses: PoseColumns, resolution: _Pair = (0.0, 0.0)) -> NDAr
             if count == _AVERAGED[0] or count * usual_s <= _LONGEST_S:
                 found |= _find_by_means(motion, count)
     return np.asarray(found & (step_s <= LATE * usual_s))
-
-
-def _measure_noise(steps: Values, step_s: Values) -> tuple[Values, Values]:
-    """Return the variance of the poses, and the additional variance of the steps, at each step.
-
-    If the steps vary, two steps together have twice the variance of one step. If the poses vary,
-    both variances are equal. The larger of two values is used: the variance around each step, and
-    the variance of all steps.
-    """
-    rates = np.pad(steps / step_s[:, np.newaxis], ((_AROUND, _AROUND), (0, 0)), mode="edge")
-    near = np.median(sliding_window_view(rates, 2 * _AROUND + 1, axis=0), axis=2)
-    off = steps - near * step_s[:, np.newaxis]
-    two = off + np.vstack([off[1:], off[-1:]])
-    one_variance, two_variance = (_measure_spread(values) ** 2 for values in (off, two))
-    step_variance = np.clip(two_variance - one_variance, 0.0, one_variance)
-    return 0.5 * (one_variance - step_variance), step_variance
-
-
-_MEDIANS: Final = (0.6745, 1.1774)
-"""Ratio of median magnitude to standard deviation of normal values, on a line and in the plane."""
-
-
-def _measure_spread(values: Values) -> Values:
-    """Return the standard deviation per axis around each row, from medians."""
-    size = measure_length(values)
-    blocks = -(-len(size) // _BLOCK)
-    padded = np.pad(size, (_BLOCK, (blocks + 1) * _BLOCK - len(size)), mode="reflect")
-    around = sliding_window_view(padded, 3 * _BLOCK)[::_BLOCK][:blocks]
-    local = np.repeat(np.median(around, axis=1), _BLOCK)[: len(size)]
-    return np.asarray(np.maximum(local, compute_median(size)) / _MEDIANS[values.shape[1] - 1])
 
 
 def _find_by_means(motion: _Motion, count: int) -> NDArray[np.bool_]:
@@ -474,11 +402,6 @@ def _subtract_means(values: Values, rows: NDArray[np.int64], count: int) -> Valu
     sums = np.concatenate([np.zeros_like(values[:1]), np.cumsum(values, axis=0)])
     after = sums[rows + 1 + count] - sums[rows + 1]
     return np.asarray((after - (sums[rows + 1] - sums[rows + 1 - count])) / count)
-
-
-def measure_length(values: Values) -> Values:
-    """Return the length of each row without overflow: the square of 1e300 is not finite."""
-    return np.asarray(np.abs(np.hypot.reduce(values, axis=1)))
 
 
 def _shrink(values: Values, by: Values) -> Values:

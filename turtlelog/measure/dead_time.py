@@ -25,15 +25,12 @@ from turtlelog.measure.motion import (
 )
 from turtlelog.measure.reductions import Values, compute_median, subtract_neighbours
 from turtlelog.measure.response import describe_no_phase, find_loop_samples
-from turtlelog.plants import LAGGED, find_plant
+from turtlelog.plants import PLANTS, find_plant, read_plant
 from turtlelog.run import Parameter, Run, take_rows
 from turtlelog.run.loops import ControlLoop, read_number
 
 if TYPE_CHECKING:
     from turtlelog.theory import LoopModel, MeasuredTiming, PidGains
-
-MOST_TICKS: Final = 1000
-"""Largest dead time for which the delayed ideal loop is computed [ticks]."""
 
 LARGEST_TICKS: Final = 40
 """Largest dead time that is searched [ticks]."""
@@ -176,7 +173,7 @@ def _find_doubt(run: Run, loop: ControlLoop) -> str:
     """Return the scenario's objection to a dead time that does not explain every step, or ""."""
     if read_number(run.parameters, f"disturbance.noise_{loop.command}", 0.0) > 0.0:
         return "the disturbance is random and adds up along the way"
-    if find_plant(run).name == LAGGED:
+    if not find_plant(run).has_live_logs:
         return f"no whole number of periods up to {LARGEST_TICKS} explains every step"
     return ""
 
@@ -392,7 +389,8 @@ def _model(
         sources["gains"] = "identified from the commands"
     if "loop.period_ticks" not in run.parameters and "plant.kind" not in parameters:
         sources["plant"] = "assumed, as the recording names no plant"
-    is_plain = parameters.get("plant.kind", "turtlesim") == "turtlesim"
+    plant = read_plant(parameters)
+    is_plain = plant.dynamics == "integrator" and parameters.get("plant.kind", plant.name) in PLANTS
     is_plain = is_plain and parameters.get("loop.trigger", "pose") == "pose"
     timing = _measure_timing(run, loop, f"measured in {place}") if is_plain else None
     found = model_loop(loop, parameters, timing=timing, sources=sources)

@@ -8,12 +8,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.arithmetic import rub, want_rate
+from turtlelog.measure.pose_noise import find_coarse_step
 from turtlelog.measure.rates import GAP_STEPS
 from turtlelog.measure.reductions import Values, compute_median, subtract_neighbours
 from turtlelog.measure.response import find_loop_samples
-from turtlelog.plants import LAGGED, Plant, find_plant
-from turtlelog.plants.lagged import rub, want_rate
-from turtlelog.plants.turtlesim import TICK_NS, TICK_S
+from turtlelog.plants import Plant, find_plant
 from turtlelog.run import PoseColumns, Run
 from turtlelog.run.angles import find_heading_steps, subtract_headings
 from turtlelog.run.loops import PLANT_KEYS, ControlLoop, find_disturbance, read_number
@@ -28,13 +28,6 @@ _MOST_STEP_TICKS: Final = 60
 
 _LOST_ROWS: Final = 1000
 """Number of rows for a gap of unknown length: more than any dead time."""
-
-FEWEST_DIFFERENT: Final = 10
-"""Smallest number of different values with a common step; fewer values may have one by chance."""
-
-OFF_GRID: Final = 0.02
-"""Largest distance of a 32-bit float from a multiple of the quantisation step, in steps: 4e-7 m of
-1e-4 m, plus a margin."""
 
 _EXACT: Final = 2e-8
 """Error of a step in double precision [m, rad]: pi has eight decimals in turtlesim."""
@@ -153,7 +146,7 @@ def read_loop_motion(run: Run, loop: ControlLoop) -> LoopMotion | None:
     else:
         is_kept &= ((xy_m[1:] > plant.low_m) & (xy_m[1:] < plant.high_m)).all(axis=1)  # no wall
         half = _find_half_steps(poses.xy_m)[ends]
-        moved, rounding = _measure_moves(xy_m, heading_rad, half, is_arc=plant.name == LAGGED)
+        moved, rounding = _measure_moves(xy_m, heading_rad, half, is_arc=not plant.turns_first)
         command = samples.speed_m_s
     rows = first + np.flatnonzero(is_kept)
     usual_ticks = compute_median(subtract_neighbours(sample_tick)) if len(sample_tick) > 1 else 1.0
@@ -182,10 +175,10 @@ def _compute_pushed(run: Run, loop: ControlLoop, rows: NDArray[np.int64]) -> Val
         return np.zeros(len(rows))
     from_ns, to_ns = window_ns
     start_ns, end_ns = run.poses.time_ns[rows], run.poses.time_ns[rows + 1]
-    if find_plant(run).name == LAGGED:
-        pushed_ns = np.minimum(end_ns, to_ns) - np.maximum(start_ns, from_ns)
-    else:  # turtlesim applies the value at the end of a step to the whole step
+    if find_plant(run).acts_in_steps:  # the value at the end of a step acts on the whole step
         pushed_ns = np.where((end_ns >= from_ns) & (end_ns < to_ns), end_ns - start_ns, 0)
+    else:
+        pushed_ns = np.minimum(end_ns, to_ns) - np.maximum(start_ns, from_ns)
     return np.asarray(rate * np.maximum(pushed_ns, 0.0) / 1e9)
 
 
@@ -213,123 +206,34 @@ def describe_follower(run: Run, loop: ControlLoop) -> str:
     return ""
 
 
-def find_common_step(values: Values) -> float:
-    """Return the common step of values, if above the spacing of 32-bit floats; otherwise 0."""
-    different = _sort_different(values)
-    if len(different) < FEWEST_DIFFERENT:
-        return 0.0
-    steps = subtract_neighbours(different)
-    # First from neighbours, which are few steps apart, then to all: the step becomes more exact.
-    multiples = np.cumsum(np.rint(steps / steps.min()))
-    step = float((different[1:] - different[0]) @ multiples / (multiples @ multiples))
-    left = (different[1:] - different[0]) - step * multiples
-    is_common = bool((np.abs(left) < OFF_GRID * step).all())
-    return step if is_common and step > find_spacing(values) else 0.0
-
-
-def find_dither_step(steps: Values) -> float:
-    """Return the resolution of a coordinate whose steps from row to row dither; otherwise 0.
-
-    Steps of a rounded coordinate, or of an encoder that counts ticks, change from one multiple of
-    the resolution to the next and back at once. Exact steps do not, whatever their values are.
-    """
-    starts = range(0, len(steps), _RESOLVED_ROWS) if len(steps) > _RESOLVED_ROWS else ()
-    parts = [steps, *(steps[first : first + _RESOLVED_ROWS] for first in starts)]
-    return max(_find_dither_step(part) for part in parts)
-
-
-_RESOLVED_ROWS: Final = 250
-"""Number of rows whose resolution is found at a time, and the coarsest counts: a number with seven
-digits is coarser beyond 1 km."""
-
-
-def _find_dither_step(steps: Values) -> float:
-    steps = np.where(np.abs(steps) > _LEAST_DITHER, steps, 0.0)
-    bends = subtract_neighbours(steps)
-    bends[np.abs(bends) <= _LEAST_DITHER] = 0.0
-    way, bend = np.sign(steps), np.sign(bends)
-    is_dither = bend[1:] * bend[:-1] < 0.0
-    # A pose that strays returns, too, but then the steps have two signs.
-    is_onward = is_dither & (way[1:-1] * way[:-2] >= 0.0) & (way[1:-1] * way[2:] >= 0.0)
-    few = np.count_nonzero(is_onward) < FEWEST_DIFFERENT
-    if few or np.count_nonzero(is_dither) < _DITHERING * np.count_nonzero(steps):
-        return 0.0
-    sizes = np.sort(np.abs(bends[bends != 0.0]))
-    least = sizes[len(sizes) // _SMALLEST]
-    step = compute_median(sizes[np.abs(sizes - least) < _NEAR_MULTIPLE * least])
-    is_multiple = np.abs(sizes - step * np.rint(sizes / step)) < _NEAR_MULTIPLE * step
-    return step if is_multiple.mean() >= _MULTIPLES else 0.0
-
-
-_LEAST_DITHER: Final = 1e-5
-"""Smallest resolution that matters [m, rad]: 32 bits round two poses as far."""
-
-_DITHERING: Final = 0.05
-"""Smallest share of moving steps that dither. Of a rounded coordinate a quarter does, on average
-over all rates; of a turn that two wheels count, a tenth."""
-
-_SMALLEST: Final = 20
-"""The twentieth part of the changes, from the least, gives the resolution."""
-
-_NEAR_MULTIPLE: Final = 0.1
-_MULTIPLES: Final = 0.9
-"""Distance from a multiple, in steps, and share of the changes that are as near to one. Of exact
-coordinates a fifth is as near."""
-
-
-def find_spacing(values: Values) -> float:
-    """Return the spacing of 32-bit floats at the largest value; 0 if values have more bits."""
-    with np.errstate(over="ignore"):
-        if (values != values.astype(np.float32)).any():
-            return 0.0
-    return float(np.spacing(np.float32(np.abs(values).max(initial=0.0))))
-
-
-def find_coarse_step(values: Values) -> float:
-    """Return the common step of values, or the least distance of few values; 0 without a step."""
-    different = _sort_different(values)
-    if 1 < len(different) < FEWEST_DIFFERENT:
-        return float(subtract_neighbours(different).min())
-    return find_common_step(values)
-
-
-def _sort_different(values: Values) -> Values:
-    """Sort values without duplicates. np.unique would load numpy.ma, which takes 10 ms."""
-    ordered = np.sort(values)
-    is_first = np.ones(len(ordered), dtype=np.bool_)
-    is_first[1:] = ordered[1:] != ordered[:-1]
-    return ordered[is_first]
-
-
 def _read_plant(run: Run, loop: ControlLoop, name: str, default: float) -> float:
-    if find_plant(run).name != LAGGED:
+    if find_plant(run).dynamics != "first-order":
         return default
     return read_number(run.parameters, f"{PLANT_KEYS[loop.command]}{name}", default)
 
 
 def _count_ticks(time_ns: NDArray[np.int64], plant: Plant) -> tuple[NDArray[np.int64], int, float]:
     """Return the tick of each pose, the usual ticks in a step, and the tick length [s]."""
-    step_ns = subtract_neighbours(time_ns)
-    if plant.name == LAGGED:
-        return (time_ns - time_ns[0]) // plant.period_ns, 1, plant.period_s
+    step_ns, tick_ns, tick_s = subtract_neighbours(time_ns), plant.period_ns, plant.period_s
+    if not plant.has_live_logs:
+        return (time_ns - time_ns[0]) // tick_ns, 1, tick_s
     if not len(step_ns):
-        return np.zeros(len(time_ns), dtype=np.int64), 1, TICK_S
+        return np.zeros(len(time_ns), dtype=np.int64), 1, tick_s
     usual_ns = compute_median(step_ns)
-    if not (step_ns % TICK_NS).any() and usual_ns == TICK_NS:
-        return (time_ns - time_ns[0]) // TICK_NS, 1, TICK_S
+    if not (step_ns % tick_ns).any() and usual_ns == tick_ns:
+        return (time_ns - time_ns[0]) // tick_ns, 1, tick_s
     # A wall clock jitters, and a late callback is not a lost pose.
     steps = np.where(step_ns > GAP_STEPS * usual_ns, _LOST_ROWS, 1)
-    ticks = min(max(round(usual_ns / TICK_NS), 1), _MOST_STEP_TICKS)
-    if abs(usual_ns / TICK_NS / ticks - 1.0) < (_NEAR_TICK if ticks == 1 else _NEAR_TICKS):
-        return np.r_[0, np.cumsum(steps * ticks)], ticks, TICK_S
+    ticks = min(max(round(usual_ns / tick_ns), 1), _MOST_STEP_TICKS)
+    if abs(usual_ns / tick_ns / ticks - 1.0) < (_NEAR_TICK if ticks == 1 else _NEAR_TICKS):
+        return np.r_[0, np.cumsum(steps * ticks)], ticks, tick_s
     return np.r_[0, np.cumsum(steps)], 1, usual_ns / 1e9
 
 
 def _measure_moves(
     xy_m: Values, heading_rad: Values, half: Values, *, is_arc: bool
 ) -> tuple[Values, Values]:
-    # turtlesim turns first, then moves along the new heading. Other robots turn while they move
-    # along an arc, whose chord has the mean heading.
+    # A step that turns first moves along the new heading. The chord of an arc has the mean heading.
     half_rad = 0.5 * subtract_headings(heading_rad[1:], heading_rad[:-1])
     along_rad = heading_rad[:-1] + half_rad if is_arc else heading_rad[1:]
     x, y = np.cos(along_rad), np.sin(along_rad)

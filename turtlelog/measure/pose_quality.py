@@ -1,14 +1,8 @@
-"""Quality of a robot's poses: noise, a direction of travel beside the heading, and notes on both.
-
-A robot on wheels does not step sideways and back between two poses. The second differences of its
-steps across its heading therefore show the noise of the positions: of white noise they have six
-times its variance. In the quietest part of a run a robot drives evenly or rests. A point ahead of
-the axle moves sideways as the robot turns; this part of the steps is left out.
-"""
+"""A direction of travel beside a robot's heading, and notes on the quality of its poses."""
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -21,172 +15,18 @@ from turtlelog.measure.breaks import (
     PoseJump,
     find_gaps,
     find_jumps,
-    find_pose_resolution,
-    measure_length,
-    measure_steps,
 )
 from turtlelog.measure.metric import Metric
-from turtlelog.measure.rates import AXES, Axis, describe_repetition, find_changing_rows, space_poses
-from turtlelog.measure.reductions import Values, compute_median, subtract_neighbours
-from turtlelog.measure.references import recall
+from turtlelog.measure.pose_noise import (
+    find_pose_resolution,
+    find_scatter,
+    measure_rate_noise,
+    measure_steps,
+)
+from turtlelog.measure.rates import AXES, Axis, describe_repetition, space_poses
+from turtlelog.measure.reductions import compute_median, subtract_neighbours
 from turtlelog.measure.signals import sign_speeds
 from turtlelog.run import PoseColumns, Run, take_rows
-
-_BLOCK: Final = 20
-"""Number of second differences that give one estimate of the noise; its error is a fifth."""
-
-_QUIET: Final = 0.25
-"""Share of estimates that are below the noise: turns to and fro, or wheels that slip, show more."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WhiteNoise:
-    """Standard deviations of the noise of poses.
-
-    Attributes:
-        position_m: Of x and of y [m]; 0 without noise, or for few poses.
-        heading_rad: Of the heading [rad], likewise.
-    """
-
-    position_m: float
-    heading_rad: float
-
-
-def measure_noise(poses: PoseColumns) -> WhiteNoise:
-    """Return the noise of poses, none of which repeats the one before."""
-    if len(poses) < _BLOCK + 2:
-        return WhiteNoise(position_m=0.0, heading_rad=0.0)
-    _, aside_m, turned_rad = measure_steps(poses)
-    if turning := float(turned_rad @ turned_rad):
-        aside_m = aside_m - turned_rad * (float(turned_rad @ aside_m) / turning)
-    return WhiteNoise(position_m=_estimate(aside_m), heading_rad=_estimate(turned_rad))
-
-
-def find_noise(run: Run, rows: NDArray[np.int64]) -> WhiteNoise:
-    """Return the noise of some rows of the poses, at least that of their rounding."""
-    # Slow poses do not tell noise of the headings from a robot that turns round.
-    noise = measure_noise(take_rows(run.poses, rows))
-    if noise.heading_rad and find_scatter(run).turning_rad is None:
-        noise = replace(noise, heading_rad=0.0)
-    position_m, heading_rad = (_PER_STEP * finest for finest in find_pose_resolution(run))
-    return WhiteNoise(
-        position_m=max(noise.position_m, position_m),
-        heading_rad=max(noise.heading_rad, heading_rad),
-    )
-
-
-_PER_STEP: Final = 12**-0.5
-"""Standard deviation of rounding, in steps of the resolution."""
-
-
-def measure_rate_noise(run: Run) -> tuple[float, float]:
-    """Return the noise of speeds [m/s] and turn rates [rad/s] that are differences of poses."""
-    if len(run.poses) < 2:
-        return 0.0, 0.0
-    spaced = space_poses(run)
-    noise, step_s = find_noise(run, spaced.rows), compute_median(np.diff(spaced.time_s))
-    per_size = math.sqrt(2.0) / step_s
-    return per_size * noise.position_m, per_size * noise.heading_rad
-
-
-def _estimate(steps: Values) -> float:
-    """Return the standard deviation of white noise whose differences are steps."""
-    bends = np.diff(steps)
-    whole = bends[: len(bends) // _BLOCK * _BLOCK].reshape(-1, _BLOCK)
-    # A jump is in one estimate, and of two estimates the quieter one counts.
-    spreads = measure_length(whole) / math.sqrt(6.0 * _BLOCK)
-    return float(np.quantile(spreads, _QUIET, method="lower"))
-
-
-_BACK: Final = 0.1
-"""Share of a path in steps that lead back from which scatter is told. The white noise of a robot
-at rest has four fifths."""
-
-_MOST_TURNS_HZ: Final = 4.0
-"""How often a robot may turn round itself. Such steps lead back at slow poses without any noise."""
-
-_BY_NOISE: Final = 0.5
-"""Share of what a path loses through medians from which noise of its positions is the cause."""
-
-_NOISY_STEPS: Final = 0.25
-"""Share of steps that noise makes from which positions are noisy: it adds 2 % to a path."""
-
-_SHORTER: Final = 0.93
-"""Largest length through medians, as a share of the path, that is told. A curve of 1 rad/s loses a
-twentieth between the medians of each second."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Scatter:
-    """What is left of a path and of its turns through the median pose of each second.
-
-    Attributes:
-        path_m: Length of the path through these medians [m]; None if the path hardly scatters.
-        turning_rad: Sum of the magnitudes of all turns, likewise [rad].
-    """
-
-    path_m: float | None
-    turning_rad: float | None
-
-
-def find_scatter(run: Run) -> Scatter:
-    """Return what scatter of the poses, as of noise, leaves of a path and of its turns."""
-    return recall(run, "scatter", lambda: _find_scatter(run))
-
-
-def _find_scatter(run: Run) -> Scatter:
-    poses, is_course = run.poses, run.origin.has_courses
-    rows = find_changing_rows(poses)
-    heading_rad = np.unwrap(poses.heading_rad[rows])[:, None]
-    poses = take_rows(poses, rows) if len(rows) < len(poses) else poses
-    noise = measure_noise(poses).position_m, _PER_STEP * find_pose_resolution(run)[0]
-    # A course turns to and fro as its positions scatter, even if their path hardly gets longer.
-    path_m = _measure_through_medians(poses.time_ns, poses.xy_m, noise_m=noise)
-    whole_m = float(measure_length(np.diff(poses.xy_m, axis=0)).sum())
-    is_noisy = math.sqrt(np.pi) * noise[0] * len(poses) > _NOISY_STEPS * whole_m
-    is_noisy |= path_m is not None or is_course
-    turning_rad = _measure_through_medians(poses.time_ns, heading_rad, is_noisy=is_noisy)
-    return Scatter(path_m=path_m, turning_rad=turning_rad)
-
-
-def _measure_through_medians(
-    time_ns: NDArray[np.int64],
-    values: Values,
-    *,
-    noise_m: tuple[float, float] = (0.0, 0.0),
-    is_noisy: bool = False,
-) -> float | None:
-    """Return the length through medians of each second; None if the steps hardly lead back.
-
-    `noise_m` is the white noise of values, and that of their rounding. If poses are not noisy, slow
-    steps back may be those of a robot that turns round.
-    """
-    steps = np.diff(values, axis=0)
-    ways = measure_length(steps)
-    if not (whole := float(ways.sum())):
-        return None
-    seconds = (time_ns - time_ns[0]) // 1_000_000_000
-    starts = np.flatnonzero(np.diff(seconds, prepend=-1))
-    middles = (starts + np.append(starts[1:], len(seconds)) - 1) // 2
-    corners = np.column_stack([one[np.lexsort((one, seconds))][middles] for one in values.T])
-    left = np.diff(corners, axis=0, prepend=values[:1], append=values[-1:])
-    length = float(measure_length(left).sum())
-    if length > _SHORTER * whole:
-        return None
-    shares = steps / whole  # whose products are finite
-    is_back = (shares[1:] * shares[:-1]).sum(axis=1) < 0.0
-    own_s = 0.0 if is_noisy else compute_median(np.diff(time_ns)) / 1e9
-    is_scatter = float(ways[1:][is_back].sum()) >= max(_BACK, _MOST_TURNS_HZ * own_s) * whole
-    # In each second noise adds 4 times its variance to the mean square of the steps. Rounding adds
-    # at most the mean length of white noise.
-    begins = starts[starts < len(ways)]
-    count = np.diff(np.append(begins, len(ways)))
-    squares = np.add.reduceat((ways / whole) ** 2, begins) - count * (2.0 * noise_m[0] / whole) ** 2
-    by_noise = 1.0 - float(np.sqrt(count * np.maximum(squares, 0.0)).sum())
-    by_noise = max(by_noise, math.sqrt(np.pi) * noise_m[1] * len(ways) / whole)
-    is_scatter |= by_noise >= _BY_NOISE * (1.0 - length / whole)
-    return length if is_scatter else None
-
 
 _OVER_S: Final = 0.5
 """Time over which a displacement is measured [s]: it is then larger than the noise of poses."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import MeasureError
 from turtlelog.measure import rates
-from turtlelog.measure.dead_time import MOST_TICKS, find_dead_time, take_beginning
+from turtlelog.measure.dead_time import find_dead_time, take_beginning
 from turtlelog.measure.loop_segment import Aim, aim_at, find_row_from
 from turtlelog.measure.metric import Missing
 from turtlelog.measure.reductions import Values, compute_median, subtract_neighbours
@@ -28,12 +28,15 @@ from turtlelog.run.loops import ControlLoop, Declaration
 from turtlelog.theory.continuous_loop import SETTLING_BAND
 
 if TYPE_CHECKING:
-    from turtlelog.measure.pose_quality import WhiteNoise
+    from turtlelog.measure.pose_noise import WhiteNoise
 
 _Value = TypeVar("_Value")
 
 Target = float | Literal["reference", "last"]
 """Final value of a loop's step."""
+
+MOST_TICKS: Final = 1000
+"""Largest dead time for which the delayed ideal loop is computed [ticks]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -192,7 +195,7 @@ class RunContext:
         """Noise of the poses that are used for differences; None of a simulation."""
         if self.run.poses.speed_m_s is not None or self.spaced_poses is None:
             return None
-        from turtlelog.measure.pose_quality import find_noise
+        from turtlelog.measure.pose_noise import find_noise
 
         return find_noise(self.run, self.spaced_poses.rows)
 

@@ -5,7 +5,6 @@ from collections.abc import Mapping
 from typing import Final
 
 from turtlelog.parts import Plant as Plant, PlantPart as PlantPart, load_parts
-from turtlelog.plants.lagged import LAGGED as LAGGED
 from turtlelog.plants.turtlesim import TURTLESIM as TURTLESIM, Turtle as Turtle
 from turtlelog.run import Run
 

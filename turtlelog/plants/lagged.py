@@ -22,7 +22,18 @@ import math
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from turtlelog.arithmetic import begin_row, called, clip, least, most, to_float32, to_ns, wrap_angle
+from turtlelog.arithmetic import (
+    GAUSS_LEGENDRE,
+    begin_row,
+    called,
+    least,
+    most,
+    rub,
+    to_float32,
+    to_ns,
+    want_rate,
+    wrap_angle,
+)
 from turtlelog.parts import (
     LARGEST_FLOAT,
     LARGEST_M,
@@ -38,9 +49,6 @@ from turtlelog.parts import (
     absent,
 )
 from turtlelog.run.loops import Cause
-
-LAGGED: Final = "lagged"
-"""Kind of this plant in scenarios."""
 
 LONGEST_PIECE: Final = 2.0
 """Largest turn of a piece of the quadrature [rad], plus its length in time constants. With 8 nodes
@@ -58,25 +66,10 @@ _MOST_PIECES: Final = 2.0**62
 
 _SHORTEST_S: Final = 1e-18  # shortest piece [s]: a huge acceleration may end a ramp at once
 
-_GAUSS: Final = (
-    (0.019855071751231912, 0.05061426814518853),
-    (0.10166676129318664, 0.11119051722668721),
-    (0.2372337950418355, 0.15685332293894344),
-    (0.4082826787521751, 0.18134189168918083),
-    (0.5917173212478248, 0.18134189168918083),
-    (0.7627662049581645, 0.15685332293894344),
-    (0.8983332387068134, 0.11119051722668721),
-    (0.9801449282487681, 0.05061426814518853),
-)
-"""Nodes and weights of Gauss-Legendre quadrature on [0, 1]."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LaggedKeys:
     """Parameters of a robot model without walls.
-
-    The rate of each axis is the held command times a gain, after a dead time and a first-order
-    low-pass filter.
 
     Attributes:
         period_s: Time between two poses [s]. Default: 0.05.
@@ -132,8 +125,16 @@ class LaggedKeys:
 
 def find_facts(keys: Any) -> Plant:
     """Return the facts of a robot model from its keys."""
-    period_ns = round(keys.period_s * 1e9)
-    return Plant(name=LAGGED, period_ns=period_ns, low_m=-LARGEST_M, high_m=LARGEST_M)
+    return Plant(
+        name="lagged",
+        period_ns=round(keys.period_s * 1e9),
+        low_m=-LARGEST_M,
+        high_m=LARGEST_M,
+        acts_in_steps=False,
+        turns_first=False,
+        holds_rates=False,
+        dynamics="first-order",
+    )
 
 
 @dataclass(slots=True)
@@ -267,20 +268,6 @@ def _switch_turn(keys: Any, state: Any, rows: Any) -> None:
         axis.next_ns = _find_next(axis, state, rows, keys.turn_dead_time_s)
 
 
-def rub(command: float, deadband: float, friction: float) -> float:
-    """Return what deadband and friction leave of a command."""
-    if abs(command) <= deadband:
-        return 0.0
-    return command - clip(command, friction)
-
-
-def want_rate(command: float, gain: float, reverse_gain: float, bound: float) -> float:
-    """Return the rate that a command leads to; a reverse gain of NaN means the normal gain."""
-    if command < 0.0 and not math.isnan(reverse_gain):
-        gain = reverse_gain
-    return clip(gain * command, bound)
-
-
 def _follow(axis: Any, wanted: float, lag_s: float, acceleration: float) -> None:
     if lag_s != 0.0 or not math.isinf(acceleration):
         axis.transient += axis.target - wanted
@@ -361,7 +348,7 @@ def _move_along_arc(keys: Any, state: Any, duration_s: float) -> None:
 def _move_by_quadrature(keys: Any, state: Any, duration_s: float) -> None:
     speed, turn = state.speed, state.turn
     x_m = y_m = 0.0
-    for node, weight in _GAUSS:
+    for node, weight in GAUSS_LEGENDRE:
         time_s = node * duration_s
         turned_rad = _integrate(turn, keys.turn_lag_s, keys.turn_acceleration, time_s)
         heading_rad = state.heading_rad + turned_rad
@@ -440,7 +427,7 @@ def _build_cause(name: str, meaning: str) -> Cause:
 
 
 PART: Final = PlantPart(
-    name=LAGGED,
+    name="lagged",
     meaning="a robot whose rates follow commands after a dead time and with a time constant",
     Keys=LaggedKeys,
     find_facts=find_facts,
@@ -450,7 +437,6 @@ PART: Final = PlantPart(
     push=push,
     move=move,
     read=read,
-    acts_in_steps=False,
     Waiting=Waiting,
     delays=("speed_dead_time_s", "turn_dead_time_s"),
     causes=(

@@ -33,7 +33,16 @@ _PI: Final = 3.14159265  # eight decimals, as in turtlesim's source
 _TWO_PI: Final = 2.0 * _PI
 
 TURTLESIM: Final = Plant(
-    name="turtlesim", period_ns=TICK_NS, low_m=0.0, high_m=WORLD_SIZE_M, watchdog_ns=WATCHDOG_NS
+    name="turtlesim",
+    period_ns=TICK_NS,
+    low_m=0.0,
+    high_m=WORLD_SIZE_M,
+    acts_in_steps=True,
+    turns_first=True,
+    holds_rates=True,
+    dynamics="integrator",
+    watchdog_ns=WATCHDOG_NS,
+    has_live_logs=True,
 )
 """Facts of turtlesim."""
 
@@ -165,7 +174,6 @@ PART: Final = PlantPart(
     push=push,
     move=move,
     read=read,
-    acts_in_steps=True,
 )
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import ReplayError
-from turtlelog.plants import find_plant
+from turtlelog.plants import TURTLESIM, find_plant
 from turtlelog.plants.turtlesim import SPAWN_XY_M, TICK_NS, TICK_S, WORLD_SIZE_M
 from turtlelog.replay.differences import has_all_commands, has_ticks
 from turtlelog.run import CommandColumns, Run
@@ -58,15 +58,14 @@ class RecordedMotion:
 def moves_as_turtlesim(run: Run) -> bool:
     """Return whether poses with applied velocities move like turtlesim's, at turtlesim's rate.
 
-    Another robot may publish the same message type at another rate, or with velocities that do not
-    lead from one pose to the next. If a run names its scenario, the scenario decides.
+    Another robot may publish the same message type. If a run names its scenario, the plant decides.
     """
     try:
         motion = read_motion(run)
     except ReplayError:
         return False
     if run.parameters:
-        return True
+        return find_plant(run) == TURTLESIM
     turned, gone = TICK_S * motion.turn_rate_rad_s[1:], TICK_S * np.abs(motion.speed_m_s[1:])
     moves = (np.abs(turned) > _SLACK) | (gone > _SLACK)
     off_rad = np.abs(subtract_headings(motion.step_rad, turned))
@@ -114,16 +113,17 @@ def read_motion(run: Run) -> RecordedMotion:
 
 def require_whole(run: Run) -> None:
     """Require the whole scenario, the commands, and poses at the ticks from the start on."""
-    expected = "to drive a robot model with the recorded commands"
+    plant = find_plant(run)
+    driven = "a robot model" if plant.dynamics == "first-order" else plant.name
+    expected = f"to drive {driven} with the recorded commands"
     if not run.scenario_is_complete:
         why = "it tells when each command reaches the robot"
         raise ReplayError(f"{run.name}: expected a whole scenario {expected}, found a part: {why}")
     if not has_ticks(run) or run.poses.time_ns[0] != 0:
-        period_ms, first_s = find_plant(run).period_ns / 1e6, run.poses.time_ns[0] / 1e9
         raise ReplayError(
-            f"{run.name}: expected a pose per tick of exactly {period_ms:g} ms from 0 s on"
-            f" {expected}, found the first at {first_s:g} s: a robot's rates before that are not"
-            " recorded"
+            f"{run.name}: expected a pose per tick of exactly {plant.period_ns / 1e6:g} ms from 0 s"
+            f" on {expected}, found the first at {run.poses.time_ns[0] / 1e9:g} s: a robot's rates"
+            " before that are not recorded"
         )
     if not len(run.commands) or not has_all_commands(run):
         count = int(run.samples.sequence[-1]) + 1 if len(run.samples) else 0

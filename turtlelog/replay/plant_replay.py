@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from turtlelog.display import fit_line, format_short
 from turtlelog.errors import ReplayError
 from turtlelog.parts import NEVER_NS
-from turtlelog.plants import LAGGED, PLANTS, Turtle, find_plant, read_plant
+from turtlelog.plants import TURTLESIM, Turtle, find_plant, read_plant
 from turtlelog.plants.turtlesim import TICK_S
 from turtlelog.replay.breaks_and_commands import (
     UNSIGNED_M_S,
@@ -108,16 +108,16 @@ def replay_plant(run: Run) -> PlantReplay:
     """Drive the plant with the commands of a recording and compare the poses.
 
     For turtlesim, the applied velocities in the poses show in which tick each command was taken.
-    After each jump or gap, the plant starts again from the recorded pose. A robot model is driven
+    After each jump or gap, the plant starts again from the recorded pose. Any other plant is driven
     from its start to the end; its scenario determines when a command arrives.
 
     Raises:
-        ReplayError: If the run has no applied velocities, or its poses are not ticks; for a robot
-            model, if the run does not contain its whole scenario, start and commands.
+        ReplayError: If a run of turtlesim has no applied velocities, or its poses are not ticks;
+            for any other plant, if the run lacks a part of its scenario, its start or commands.
     """
     require_run(run)
-    if find_plant(run).name == LAGGED:
-        return _replay_lagged(run)
+    if find_plant(run) != TURTLESIM:
+        return _replay_scenario(run)
     motion = read_motion(run)
     jumps, gaps, starts = find_breaks(motion)
     velocities, is_recorded, use = place_commands(motion, run, frozenset(starts))
@@ -185,10 +185,10 @@ def _replay_stretch(
     )
 
 
-def _replay_lagged(run: Run) -> PlantReplay:
-    """Drive the robot of a recording from its start with all of its commands, through all gaps.
+def _replay_scenario(run: Run) -> PlantReplay:
+    """Drive the plant of a recording from its start with all of its commands, through all gaps.
 
-    The scenario with its seed determines how each command reaches the robot, and the disturbances.
+    The scenario with its seed determines how each command reaches the plant, and the disturbances.
     The law and the sensing are not used.
     """
     require_whole(run)
@@ -341,14 +341,14 @@ def sense_driven(
     Raises:
         ReplayError: If the scenario has no robot model.
     """
-    if PLANTS[kind := scenario.plant.kind].acts_in_steps:
-        raise ReplayError(f"{scenario.name}: the plant is {kind}, not a robot model (lagged)")
-    period_ns = scenario.plant.facts.period_ns
+    plant = scenario.plant.facts
+    if plant.acts_in_steps:
+        raise ReplayError(f"{scenario.name}: the plant is {plant.name}, not a robot model (lagged)")
     origin = Start(x_m=0.0, y_m=0.0, heading_rad=0.0)
     sensing = replace(scenario.sensing, dropout_probability=0.0)
     scenario = replace(scenario, start=origin, sensing=sensing)
     drive = _DrivenPlant(scenario)
-    states = [*drive.follow(commands, -(-int(time_ns[-1]) // period_ns), time_ns)]
+    states = [*drive.follow(commands, -(-int(time_ns[-1]) // plant.period_ns), time_ns)]
     return np.array([drive.sense(number, state[:3]) for number, state in enumerate(states)])
 
 
@@ -368,7 +368,7 @@ class _DrivenPlant:
         drawn = DrawnEvents(scenario.seed, list_streams(scenario), ticks=True)
         self._sensed_rows = replace(made.rows, drawn_ticks=drawn)
         self._last = -1
-        self._acts_in_steps = PLANTS[scenario.plant.kind].acts_in_steps
+        self._acts_in_steps = scenario.plant.facts.acts_in_steps
 
     def follow(
         self, commands: CommandColumns, ticks: int, time_ns: NDArray[np.int64] | None = None

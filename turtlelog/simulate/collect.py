@@ -20,7 +20,6 @@ from turtlelog.errors import SimulationError
 from turtlelog.laws import LAWS, find_law, find_module, is_given, read_law_source
 from turtlelog.libraries import __version__
 from turtlelog.parts import Plant
-from turtlelog.processes import catch_stop
 from turtlelog.run import LAW, CommandColumns, Event, PoseColumns, Run, SampleColumns, SourceKind
 from turtlelog.run.loops import Declaration
 from turtlelog.run.stop_reasons import INTERRUPTED, STEP_BUDGET
@@ -30,6 +29,7 @@ from turtlelog.simulate.loop_parts import Function, compile_text
 from turtlelog.simulate.plain_loop import Tick, iterate_ticks
 from turtlelog.simulate.rows import describe_stop
 from turtlelog.simulate.step_budget import STEP_BUDGET_S, StepBudgetError
+from turtlelog.stop_signals import catch_stop
 
 _POSE: Final = ("x_m", "y_m", "heading_rad", "speed_m_s", "turn_rate_rad_s")
 _SENSED: Final = ("sensed_x_m", "sensed_y_m", "sensed_heading_rad")

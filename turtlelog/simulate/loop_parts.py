@@ -163,7 +163,7 @@ def build_settings(
 
 def build_scene(scenario: Scenario, law: AnyLaw, declaration: Declaration, plant: Plant) -> Scene:
     """Return the values that the loop itself reads from a scenario."""
-    loop, part = scenario.loop, PLANTS[scenario.plant.kind]
+    loop = scenario.loop
     tick_ns = scenario.plant.facts.period_ns
     duration_ns = round(scenario.max_duration_s * 1e9)
     delays_poses = loop.period_s is not None or scenario.has_action("pose_travel")
@@ -180,12 +180,12 @@ def build_scene(scenario: Scenario, law: AnyLaw, declaration: Declaration, plant
         first_s=loop.period_s or loop.period_ticks * plant.period_ns / 1e9,
         # turtlesim applies a command to the time since its last pose. A robot cannot: its commands
         # of a period have arrived at the period's start.
-        causal_ns=0 if part.acts_in_steps else 1 - plant.period_ns,
+        causal_ns=0 if plant.acts_in_steps else 1 - plant.period_ns,
         is_exact=loop.pose_precision == "float64",
         newest_only=newest_only,
         is_timed=needs_time(scenario),
-        acts_in_steps=part.acts_in_steps,
-        acts_on_arrival=newest_only and not part.acts_in_steps,
+        acts_in_steps=plant.acts_in_steps,
+        acts_on_arrival=newest_only and not plant.acts_in_steps,
         delays_poses=delays_poses,
         senses=scenario.has_action("sense", "lose_pose"),
         is_pushed=scenario.has_action("push"),
@@ -199,7 +199,7 @@ def build_scene(scenario: Scenario, law: AnyLaw, declaration: Declaration, plant
 def needs_time(scenario: Scenario) -> bool:
     """Return whether command delays are in nanoseconds instead of whole ticks."""
     return (
-        not PLANTS[scenario.plant.kind].acts_in_steps
+        not scenario.plant.facts.acts_in_steps
         or scenario.loop.trigger == "timer"
         or scenario.has_action("pose_travel", "lose_command", "command_travel", "repeat")
     )

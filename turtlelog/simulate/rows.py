@@ -47,7 +47,7 @@ class Scene:
         is_exact: Whether poses are published in 64 bits.
         newest_only: Whether the plant takes only the newest command, and drops the others.
         is_timed: Whether command delays are in nanoseconds instead of whole ticks.
-        acts_in_steps: Property of the plant, as in `PlantPart`.
+        acts_in_steps: Property of the plant, as in `Plant`.
         acts_on_arrival: Whether a command acts from its arrival on.
         delays_poses: Whether poses travel, or a timer triggers answers.
         senses: Whether sensed poses differ from published ones.

@@ -13,7 +13,7 @@ from turtlelog.display import describe_count
 from turtlelog.effects import EFFECTS
 from turtlelog.errors import TheoryError
 from turtlelog.laws import find_law, list_unused_keys
-from turtlelog.plants.turtlesim import TICK_S
+from turtlelog.plants import read_plant
 from turtlelog.run import Parameter
 from turtlelog.run.loops import PLANT_KEYS, ControlLoop, Declaration, read_number
 from turtlelog.scenario import Scenario, flatten_scenario, resolve_scenario
@@ -79,7 +79,8 @@ def _describe_unstable(declaration: Declaration, parameters: Mapping[str, Parame
         process = theory.read_process(loop, parameters, timing.least_s)
         if isinstance(gains, str) or isinstance(process, str):
             continue
-        if said := _judge(loop, gains, process, timing):
+        in_ticks = read_plant(parameters).acts_in_steps
+        if said := _judge(loop, gains, process, timing, in_ticks=in_ticks):
             found.append(f"{loop.name}: {said}; clipping only bounds its oscillation")
     return found
 
@@ -103,14 +104,18 @@ def _describe_timing(process: theory.Process, timing: theory.LoopTiming, *, in_t
 
 
 def _judge(
-    loop: ControlLoop, gains: theory.PidGains, process: theory.Process, timing: theory.LoopTiming
+    loop: ControlLoop,
+    gains: theory.PidGains,
+    process: theory.Process,
+    timing: theory.LoopTiming,
+    *,
+    in_ticks: bool,
 ) -> str | None:
     """Return why a loop is unstable for every possible dead time; None otherwise."""
     others = ((loop.integral_gain, gains.ki), (loop.derivative_gain, gains.kd))
     values = [f"{key} = {_write(value)}" for key, value in others if value > 0.0]
     named = f"{loop.gain} = {_write(gains.kp)}"
-    is_turtle = timing.step_s == TICK_S
-    timed = _describe_timing(process, timing, in_ticks=is_turtle)
+    timed = _describe_timing(process, timing, in_ticks=in_ticks)
     words = f"theory's loop with {', '.join([*values, timed])}"
     is_plain = gains.kd == 0.0 and process.lag_s == process.low_pass_s == 0.0
     try:

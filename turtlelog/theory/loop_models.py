@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from turtlelog.effects import EFFECTS
 from turtlelog.errors import TheoryError
-from turtlelog.plants import LAGGED, PLANTS, TURTLESIM, read_plant
-from turtlelog.plants.turtlesim import WATCHDOG_NS
+from turtlelog.plants import PLANTS, Plant, read_plant
 from turtlelog.run import Parameter
 from turtlelog.run.loops import (
     COMMAND_WORDS,
@@ -188,7 +187,7 @@ def model_loop(
     reasons = [found for found in (gains, process, timing) if isinstance(found, str)]
     left_out = _list_neglected(loop, parameters)
     if isinstance(gains, str) or isinstance(process, str) or isinstance(timing, str):
-        return LoopModel(loop=loop, reason="; ".join(reasons), left_out=left_out)
+        return LoopModel(loop=loop, reason="; ".join(dict.fromkeys(reasons)), left_out=left_out)
     is_timed = parameters.get("loop.trigger") == "timer"
     most_s = 0.0 if isinstance(scheduled, str) else scheduled.most_s
     grows = most_s > dead_time_s + _WHOLE * timing.period_s
@@ -217,9 +216,6 @@ def list_known(models: Sequence[LoopModel]) -> list[LoopModel]:
     """Return the models without a reason against them."""
     return [model for model in models if not model.reason]
 
-
-_LONGEST_HOLD_TICKS: Final = WATCHDOG_NS // TURTLESIM.period_ns + 1
-"""Number of ticks for which a command is held; in the next tick the turtle stops by itself."""
 
 _WHOLE: Final = 1e-6
 """Share of a period within which a time in whole nanoseconds counts as a multiple of the period."""
@@ -251,8 +247,6 @@ _ADDED: Final = frozenset(
 move the point of rest; limits bound the amplitude of an oscillation."""
 
 _JITTERS: Final = ("loop.jitter_s", "sensing.jitter_s")
-
-_KINDS: Final = (TURTLESIM.name, LAGGED)
 
 _BESIDE: Final = ("law.", "path.", "name", "max_duration_s", "seed", "format")
 """Keys that add only gains and a reference to a loop."""
@@ -310,6 +304,8 @@ def read_process(loop: ControlLoop, parameters: _Parameters, dead_time_s: float)
         parameters: Parameters of a run or a scenario.
         dead_time_s: Dead time in addition to that of the plant [s].
     """
+    if unknown := _find_unknown_plant(parameters):
+        return unknown
     key = PLANT_KEYS[loop.command]
     if parameters.get(f"{key}assumed"):
         return f"no log shows how the {COMMAND_WORDS[loop.command]} follows commands ({key}assumed)"
@@ -333,23 +329,24 @@ def read_process(loop: ControlLoop, parameters: _Parameters, dead_time_s: float)
 
 def find_timing(parameters: _Parameters) -> LoopTiming | str:
     """Return the timing of a scenario's loops, or the reason why theory cannot describe it."""
-    kind, step_s = parameters.get("plant.kind", TURTLESIM.name), read_plant(parameters).period_s
-    if kind not in _KINDS:
-        return f"theory knows no plant of the kind {kind}"
-    is_turtlesim = kind == TURTLESIM.name
+    if unknown := _find_unknown_plant(parameters):
+        return unknown
+    plant = read_plant(parameters)
+    step_s = plant.period_s
     every = int(read_number(parameters, "loop.period_ticks", 1.0))
     period_s, delay_s = every * step_s, read_number(parameters, "sensing.delay_s")
     if parameters.get("loop.trigger") == "timer":
         period_s = read_number(parameters, "loop.period_s")
-    if is_turtlesim and period_s > (_LONGEST_HOLD_TICKS + _WHOLE) * step_s:
-        return "turtlesim stops by itself between two samples, 1 s after a command"
+    if period_s > (_count_held_ticks(plant) + _WHOLE) * step_s:
+        after = f"{plant.watchdog_ns / 1e9:g} s after a command"
+        return f"{plant.name} stops by itself between two samples, {after}"
     delay_s += read_number(parameters, "loop.transport_delay_s")
     delay_s += read_number(parameters, "loop.transport_delay_ticks") * step_s
     queued = parameters.get("loop.queue_policy") == "one-per-tick"
 
     def find_effect(delay_s: _Array) -> _Array:
         """Return the times after which commands with these delays act [s]."""
-        if is_turtlesim:  # a command acts on the whole tick in which it arrives
+        if plant.acts_in_steps:  # a command acts on the whole tick in which it arrives
             return step_s * np.floor(delay_s / step_s + _WHOLE)
         # A robot with a queue takes it at its next period.
         return step_s * np.ceil(delay_s / step_s - _WHOLE) if queued else delay_s
@@ -376,6 +373,19 @@ def find_timing(parameters: _Parameters) -> LoopTiming | str:
         step_s=step_s,
         jitter_s=jitter_s,
     )
+
+
+def _count_held_ticks(plant: Plant) -> float:
+    """Return for how many ticks a plant holds a command; in the next tick it stops by itself."""
+    return math.inf if plant.watchdog_ns == math.inf else plant.watchdog_ns // plant.period_ns + 1
+
+
+def _find_unknown_plant(parameters: _Parameters) -> str:
+    """Return why theory has no model of a scenario's plant; empty if it has one."""
+    plant = read_plant(parameters)
+    kind = parameters.get("plant.kind", plant.name)
+    is_known = kind in PLANTS and plant.dynamics != "other"
+    return "" if is_known else f"theory knows no plant of the kind {kind}"
 
 
 _MOST_WAITING: Final = 2000

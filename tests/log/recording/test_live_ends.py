@@ -126,7 +126,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from turtlelog.log.recording.recorder import Recorder
 from turtlelog.simulate.collect import run_live
-from turtlelog.processes import hold_stop
+from turtlelog.stop_signals import hold_stop
 from turtlelog.scenario import get_preset, override_scenario
 
 SCENARIO = override_scenario(get_preset("paper"), {"law.kp_angular": 0.0001})

@@ -14,7 +14,7 @@ from turtlelog.charts.time_plots import TIME_PLOTS
 from turtlelog.draw.figures.robot_figures import lacks_commands
 from turtlelog.draw.figures.theory_figures import find_gains
 from turtlelog.measure import model_run_loops
-from turtlelog.plants import LAGGED, find_plant
+from turtlelog.plants import find_plant
 from turtlelog.run import Run
 
 
@@ -93,10 +93,11 @@ def _find_lack_of_theory(run: Run) -> Lack | None:
 def _find_lack_of_locus(run: Run) -> Lack | None:
     """Return what a root locus lacks of an ideal or a sampled loop, or why theory has no model."""
     lack = _find_lack_of_gain(run)
-    if lack == _PYTHON_CONTROL:
+    is_integrator = find_plant(run).dynamics == "integrator"
+    if lack == _PYTHON_CONTROL or (lack is None and is_integrator):
         return lack
     unknown = _find_lack_of_theory(run)
-    return unknown if lack == _PROPORTIONAL or unknown is None else lack
+    return unknown if lack in (None, _PROPORTIONAL) or unknown is None else lack
 
 
 def _is_gain_known(run: Run) -> bool:
@@ -131,7 +132,7 @@ NEEDS: Final[Mapping[str, Need]] = MappingProxyType(
         "integrator": Need(
             find_lack=_require(
                 Lack(words="a plant that is 1/s"),
-                lambda run: find_plant(run).name != LAGGED,
+                lambda run: find_plant(run).dynamics == "integrator",
                 first=_find_lack_of_gain,
             ),
             is_of_theory=True,

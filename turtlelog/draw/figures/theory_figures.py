@@ -24,7 +24,7 @@ from turtlelog.draw.figures import figure_curves
 from turtlelog.draw.figures.figure_curves import choose_lines, choose_run_lines, label_runs
 from turtlelog.draw.figures.page import NOTE, REFERENCE, STROKES, fix_style
 from turtlelog.measure import model_run_loops
-from turtlelog.plants import LAGGED, find_plant
+from turtlelog.plants import find_plant
 from turtlelog.run import Run
 
 _POINTS: Final = 600  # number of points of each frequency response: 3 per millimetre of a column
@@ -168,7 +168,7 @@ def draw_root_locus(figure: Figure, runs: Sequence[Run]) -> None:
     ideal: list[_Poles] = [
         (np.array([-kp]), looks, name)
         for run, name, looks in styled
-        for kp in (find_gains([run]) if find_plant(run).name != LAGGED else ())
+        for kp in (find_gains([run]) if find_plant(run).dynamics == "integrator" else ())
     ]
     if not runs:
         gains = zip(PAPER_GAINS, choose_lines(len(PAPER_GAINS)), strict=True)

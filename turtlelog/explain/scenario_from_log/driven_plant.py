@@ -16,13 +16,8 @@ from turtlelog.explain.scenario_from_log.gain_fit import find_quantile, widen_fo
 from turtlelog.explain.scenario_from_log.resimulation import number_poses
 from turtlelog.explain.scenario_from_log.trace import Trace, Values, list_trace_breaks
 from turtlelog.laws import Decision, Goal, Pose
-from turtlelog.measure.motion import (
-    COARSE,
-    FEWEST_DIFFERENT,
-    OFF_GRID,
-    WHITE,
-    measure_whiteness,
-)
+from turtlelog.measure.motion import COARSE, WHITE, measure_whiteness
+from turtlelog.measure.pose_noise import FEWEST_DIFFERENT, OFF_GRID
 from turtlelog.plants.turtlesim import TICK_S, WORLD_SIZE_M
 from turtlelog.run.angles import subtract_headings, wrap_angle
 from turtlelog.run.paths import Path

@@ -347,7 +347,7 @@ def _find_obstacle(trace: Trace) -> str | None:
         return f"its phases are not one rotation and one translation: {', '.join(listed)}"
     if trace.goal_xy_m is None:
         return "the log does not hold the goal"
-    if trace.answered_after_s >= TURTLESIM.period_s:
+    if trace.answered_after_s >= find_plant(trace.run).period_s:
         return (
             f"poses are answered {trace.answered_after_s:.3g} s after their publication (median):"
             " what delays them, the log does not tell"

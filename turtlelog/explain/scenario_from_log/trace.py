@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import ExplainError
-from turtlelog.measure.motion import find_coarse_step, find_common_step, find_spacing
-from turtlelog.plants import LAGGED, find_plant
+from turtlelog.measure.pose_noise import find_coarse_step, find_common_step, find_spacing
+from turtlelog.plants import find_plant
 from turtlelog.run import Run
 from turtlelog.run.angles import subtract_headings
 from turtlelog.run.loops import PLANT_KEYS, read_number
@@ -291,7 +291,7 @@ def _find_jumps(trace: Trace) -> tuple[int, ...]:
         ("turn_rate", trace.turn_rate_rad_s, run.poses.turn_rate_rad_s),
     ):
         fastest = float(np.abs(command).max())  # that the robot can have had
-        if find_plant(run).name == LAGGED:
+        if find_plant(run).dynamics != "integrator":
             key, seen = PLANT_KEYS[name], 0.0 if applied is None else float(np.abs(applied).max())
             backwards = read_number(run.parameters, f"{key}reverse_gain")
             gain = max(abs(read_number(run.parameters, f"{key}gain", 1.0)), abs(backwards))

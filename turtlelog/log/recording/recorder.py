@@ -27,12 +27,12 @@ from turtlelog.log.mcap_writer import ChunkRows, McapFile
 from turtlelog.log.recording import topics
 from turtlelog.log.recording.head import FORMAT_VERSION, HEAD, SCENARIO_FILE, Head, format_head
 from turtlelog.log.recording.run_writer import describe_pose, tabulate_event
-from turtlelog.processes import exit_on_terminate, hold_stop
 from turtlelog.run import CUT_SHORT, SourceKind
 from turtlelog.run.loops import DONE, PAUSE, Declaration
 from turtlelog.run.stop_reasons import INTERRUPTED
 from turtlelog.scenario import Scenario, format_scenario, resolve_scenario
 from turtlelog.simulate import SampleRow, Tick, declare_scenario, find_software
+from turtlelog.stop_signals import exit_on_terminate, hold_stop
 
 CHUNK_BYTES: Final = 2**16
 """Approximate chunk size in a live recording [bytes]."""

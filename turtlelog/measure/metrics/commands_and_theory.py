@@ -22,7 +22,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from turtlelog.measure.dead_time import MOST_TICKS
 from turtlelog.measure.metric import (
     FOUND,
     REASONS,
@@ -42,7 +41,7 @@ from turtlelog.measure.reductions import (
     sum_products,
 )
 from turtlelog.measure.response import CommandStretch, Response
-from turtlelog.measure.run_context import RunContext
+from turtlelog.measure.run_context import MOST_TICKS, RunContext
 from turtlelog.measure.step_response import compute_rms
 
 OfCommands = Callable[[CommandStretch], Result]

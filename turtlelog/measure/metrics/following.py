@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from turtlelog.measure.metric import ONE_POSE, Found, Missing, Result, Status
 from turtlelog.measure.metric_kinds import run_metric
-from turtlelog.measure.motion import find_dither_step
+from turtlelog.measure.pose_noise import find_dither_step
 from turtlelog.measure.rates import AXES, NEAR, SAME, Axis, HeldCommands, Rates
 from turtlelog.measure.reductions import Values, compute_median, subtract_neighbours, sum_products
 from turtlelog.measure.run_context import RunContext
@@ -378,7 +378,7 @@ def _find_rate_resolution(context: RunContext, axis: Axis, rates: Rates) -> floa
     reported = poses.measured_speed_m_s if axis == "speed" else poses.measured_turn_rate_rad_s
     if reported is not None:
         return find_dither_step(reported)
-    from turtlelog.measure.breaks import find_pose_resolution  # simulations need none of it
+    from turtlelog.measure.pose_noise import find_pose_resolution  # simulations need none of it
 
     finest = find_pose_resolution(context.run)[axis == "turn_rate"]
     return finest / compute_median(subtract_neighbours(rates.edges_s))

@@ -19,7 +19,7 @@ from turtlelog.run import take_rows
 from turtlelog.run.angles import unwrap_headings
 
 if TYPE_CHECKING:
-    from turtlelog.measure.pose_quality import WhiteNoise
+    from turtlelog.measure.pose_noise import WhiteNoise
 
 
 _IN_PLANE: Final = Missing(
@@ -182,7 +182,7 @@ def _judge_rest(context: RunContext) -> Rest | Missing:
     steps_s = subtract_neighbours(time_s)
     sizes = (0.0, 0.0)
     if noise is not None:
-        from turtlelog.measure.pose_quality import measure_noise
+        from turtlelog.measure.pose_noise import measure_noise
 
         all_rad = measure_noise(take_rows(context.run.poses, spaced.rows)).heading_rad
         sizes = noise.position_m, max(noise.heading_rad, all_rad)  # even if it turns to and fro
