@@ -420,13 +420,11 @@ def _list_recommended(
 
 def _list_motions(answers: Sequence[LoopAnswer]) -> Iterator[str]:
     """Yield the response of the loop at each Kp. Gains with similar responses share a sentence."""
-    known = [(one.title.removeprefix("Kp = "), one.found) for one in answers if one.found]
+    known = [one.found for one in answers if one.found]
     groups: dict[str, list[str]] = {}
-    for kp, found in known:
-        motion = tell_motion(found)
-        short = ", ".join(motion.split(" by ")[0].split(", ")[:2])
-        alike = motion if len(known) <= _MOST_SAID else short
-        groups.setdefault(alike, []).append(kp)
+    for found in known:
+        alike = tell_motion(found, briefly=len(known) > _MOST_SAID)
+        groups.setdefault(alike, []).append(f"{found.gains.kp:g}")
     for motion, gains in groups.items():
         yield f"Kp = {', '.join(gains)}: {motion}."
 

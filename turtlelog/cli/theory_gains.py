@@ -257,6 +257,13 @@ def show_gains(gains: "tl.theory.PidGains") -> str:
 
 def tell_step(motion: "tl.theory.StepMotion | tl.theory.PidLoop | None", where: str = "") -> str:
     """Return overshoot and settling time of a stable loop after a step, as text."""
+    return ", ".join(list_step_words(motion, where))
+
+
+def list_step_words(
+    motion: "tl.theory.StepMotion | tl.theory.PidLoop | None", where: str = ""
+) -> list[str]:
+    """Return overshoot and settling time of a stable loop after a step, each as text if known."""
     said = []
     if motion is not None and motion.overshoot_percent is not None:
         percent = motion.overshoot_percent
@@ -264,7 +271,7 @@ def tell_step(motion: "tl.theory.StepMotion | tl.theory.PidLoop | None", where: 
         said.append(f"{told}{where}")
     if motion is not None and motion.settling_time_s is not None:
         said.append(f"settles in {motion.settling_time_s:.3g} s")
-    return ", ".join(said)
+    return said
 
 
 NO_OVERSHOOT: Final = 0.005

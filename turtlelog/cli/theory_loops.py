@@ -13,8 +13,8 @@ from turtlelog.cli.theory_gains import (
     RecommendedGains,
     build_recommended,
     find_kept,
+    list_step_words,
     take_fields,
-    tell_step,
 )
 from turtlelog.display import join_words
 from turtlelog.run.loops import SIGNAL_WORDS
@@ -315,16 +315,16 @@ def _list_left_out(of: str, model: "tl.theory.LoopModel", *, shows_all: bool) ->
         mean = f"{1e3 * model.jitter_s:.3g} ms"
         yield f"{of}: jitter counts as its mean delay, {mean}; its variation is left out."
     left_out = []
-    for one in model.left_out:
-        key = one.partition(" = ")[0]
+    for key in model.neglected:
         # A sentence on clipped commands covers the limit.
         is_said = key == model.loop.limit_key or model.allows_for(key)
         if not model.counts_as_delay(key) and (shows_all or not is_said):
-            left_out.append(one)
+            left_out.append(key)
     if left_out:
-        is_late = any(one.startswith(_LATE) for one in left_out)
+        is_late = any(key.startswith(_LATE) for key in left_out)
         but = ", which may make it unstable at smaller gains" if is_late else ""
-        yield f"{of}: theory's linear loop leaves out {', '.join(left_out)}{but}."
+        told = ", ".join(model.describe_neglected(left_out))
+        yield f"{of}: theory's linear loop leaves out {told}{but}."
     if shows_all and model.limits is not None:
         yield f"{of}: the table of loops is for small steps."
 
@@ -333,12 +333,18 @@ _LATE: Final = ("loop.late_", "loop.loss_", "loop.repeat_", "sensing.dropout_")
 """Beginnings of keys of random delays that theory leaves out."""
 
 
-def tell_motion(loop: "tl.theory.PidLoop") -> str:
-    """Return whether a loop is stable, with its overshoot and settling time, as text."""
+def tell_motion(loop: "tl.theory.PidLoop", *, briefly: bool = False) -> str:
+    """Return whether a loop is stable, with its overshoot and settling time, as text.
+
+    Briefly, it is without the size of an overshoot, and without the settling time beside it.
+    """
     if not loop.stable:
         return "unstable"
-    step = tell_step(loop, " at the samples" if _moves_between(loop) else "")
-    return f"stable, {step or 'but its slowest part hardly decays'}"
+    if briefly and _overshoots(loop):
+        return "stable, overshoots"
+    words = list_step_words(loop, " at the samples" if _moves_between(loop) else "")
+    told = ", ".join(words[:1] if briefly else words)
+    return f"stable, {told or 'but its slowest part hardly decays'}"
 
 
 def _moves_between(loop: "tl.theory.PidLoop") -> bool:

@@ -180,12 +180,9 @@ def _model(results: SweptResults, rows: NDArray[np.int64], name: str) -> LoopMod
         if model.reason:
             return f"theory draws no line: {model.reason}"
         if hides_stability(parameters):
-            hidden = [
-                text
-                for text, key in ((text, text.partition(" = ")[0]) for text in model.left_out)
-                if hides_stability({key: parameters[key]})
-            ]
-            return f"theory draws no line, as it leaves out {', '.join(hidden)}"
+            hiding = [key for key in model.neglected if hides_stability({key: parameters[key]})]
+            hidden = ", ".join(model.describe_neglected(hiding))
+            return f"theory draws no line, as it leaves out {hidden}"
         return model
     return f"theory draws no line: {reason}"
 

@@ -4,7 +4,7 @@ This module reads both runs and scenarios, because they have the same dotted key
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final, TypedDict
 
@@ -78,7 +78,7 @@ class LoopModel:
         oscillates: Whether the robot oscillates, for which the model has a longer dead time.
         reason: Reason why theory has no model of the loop; empty if there is a model.
         sources: Sources of the values, in words, by `gains`, `plant`, `period_s`, `dead_time_s`.
-        left_out: Parts of the scenario that the linear loop leaves out, as `key = value`.
+        neglected: Settings that the linear loop leaves out: their values as text, by key.
     """
 
     loop: ControlLoop
@@ -93,7 +93,7 @@ class LoopModel:
     oscillates: bool = False
     reason: str = ""
     sources: Mapping[str, str] = field(default_factory=dict)
-    left_out: tuple[str, ...] = ()
+    neglected: Mapping[str, str] = field(default_factory=dict)
 
     def analyse(self) -> PidLoop:
         """Return the properties of the loop."""
@@ -112,6 +112,15 @@ class LoopModel:
         if self.most_dead_time_s is not None:
             settings["process"] = replace(settings["process"], dead_time_s=self.most_dead_time_s)
         return settings
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """The settings that the linear loop leaves out, as `key = value`."""
+        return self.describe_neglected(self.neglected)
+
+    def describe_neglected(self, keys: Iterable[str]) -> tuple[str, ...]:
+        """Return some settings that the linear loop leaves out, as `key = value`."""
+        return tuple(f"{key} = {self.neglected[key]}" for key in keys)
 
     def counts_as_delay(self, key: str) -> bool:
         """Return whether the dead time includes the mean delay by a setting."""
@@ -168,9 +177,9 @@ def model_loop(
     dead_time_s = 0.0 if isinstance(timing, str) else timing.dead_time_s
     gains, process = read_gains(loop, parameters), read_process(loop, parameters, dead_time_s)
     reasons = [found for found in (gains, process, timing) if isinstance(found, str)]
-    left_out = _list_neglected(loop, parameters)
+    neglected = _find_neglected(loop, parameters)
     if isinstance(gains, str) or isinstance(process, str) or isinstance(timing, str):
-        return LoopModel(loop=loop, reason="; ".join(reasons), left_out=left_out)
+        return LoopModel(loop=loop, reason="; ".join(reasons), neglected=neglected)
     is_timed = parameters.get("loop.trigger") == "timer"
     most_s = 0.0 if isinstance(scheduled, str) else scheduled.most_s
     grows = most_s > dead_time_s + _WHOLE * timing.period_s
@@ -186,12 +195,12 @@ def model_loop(
         jitter_s=jitter_s,
         oscillates=bool(parameters.get(f"{PLANT_KEYS[loop.command]}oscillates")),
         sources={**told, **timing.sources},
-        left_out=left_out,
+        neglected=neglected,
     )
     try:
         is_pid_stable(gains, period_s=timing.period_s, process=process)
     except TheoryError as err:  # its numbers are out of theory's range
-        return LoopModel(loop=loop, reason=str(err), left_out=left_out)
+        return LoopModel(loop=loop, reason=str(err), neglected=neglected)
     return found
 
 
@@ -380,15 +389,15 @@ def _spread_jitter(jitter_s: float, period_s: float) -> tuple[_Array, _Array]:
     return 0.5 * (x_s[1:] + x_s[:-1]), np.diff(arrived)
 
 
-def _list_neglected(loop: ControlLoop, parameters: _Parameters) -> tuple[str, ...]:
-    """Return the settings that theory's linear loop leaves out, as `key = value`."""
-    found = []
+def _find_neglected(loop: ControlLoop, parameters: _Parameters) -> dict[str, str]:
+    """Return the values, in words, of the settings that theory's linear loop leaves out."""
+    found = {}
     for key, value in parameters.items():
         if key in _MODELLED or key.startswith(_BESIDE) or value == float("inf"):
             continue
         if key == loop.limit_key or (key not in LIMIT_KEYS.values() and _is_of(loop.command, key)):
-            found.append(f"{key} = {value:g}" if isinstance(value, float) else f"{key} = {value}")
-    return tuple(found)
+            found[key] = f"{value:g}" if isinstance(value, float) else f"{value}"
+    return found
 
 
 def _is_of(command: str, key: str) -> bool:
