@@ -10,7 +10,15 @@ import pytest
 
 from tests.sequential import DECLARATION, DONE, ROTATE, TRANSLATE
 from turtlelog.errors import RunError
-from turtlelog.run import CommandColumns, PhaseSpan, PoseColumns, Run, SampleColumns
+from turtlelog.run import (
+    CommandColumns,
+    PhaseSpan,
+    PoseColumns,
+    Run,
+    SampleColumns,
+    SourceKind,
+    find_source_kind,
+)
 from turtlelog.run.loops import Declaration
 from turtlelog.scenario import get_preset
 from turtlelog.simulate import simulate_run
@@ -396,3 +404,14 @@ def test_columns_refuse_what_is_no_array_of_their_kind(
     wrong: Any = {column: values(len(RUN.poses))}
     with pytest.raises(RunError, match=message):
         replace(RUN.poses, **wrong)
+
+
+@pytest.mark.parametrize("kind", SourceKind)
+def test_the_kind_of_a_source_is_read_from_its_words(kind: SourceKind) -> None:
+    name = "" if kind is SourceKind.SIMULATION else "kp4.csv"
+    assert find_source_kind(kind.describe(name)) is kind
+
+
+@pytest.mark.parametrize("source", ["simulation of mine", "mcap: kp4", "my table: kp4.csv", ""])
+def test_a_source_in_other_words_has_no_kind(source: str) -> None:
+    assert find_source_kind(source) is None

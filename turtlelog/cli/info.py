@@ -117,8 +117,6 @@ class InfoAnswer:
         notes: Remarks by name.
         run: Poses and commands of the file; None if they were not read.
         robots: Robots of a bag with several robots; --robot NAME chooses one.
-        described: Description from which the texts are made; not in JSON.
-        was_clock_set: Whether the recorder's clock was set while it recorded; not in JSON.
     """
 
     file: str
@@ -143,8 +141,9 @@ class InfoAnswer:
     notes: Mapping[str, str]
     run: ReadRun | None
     robots: tuple[RobotTopics, ...] = ()
-    described: Summary = field(repr=False)
-    was_clock_set: bool = field(repr=False)
+    # Not in JSON:
+    described: Summary = field(repr=False)  # description from which the texts are made
+    was_clock_set: bool = field(repr=False)  # whether the recorder's clock was set meanwhile
 
 
 def info(

@@ -251,7 +251,7 @@ def _list_since(summary: "tl.compare.RunSummary") -> Iterator[str]:
 def _list_rates(summaries: "Sequence[tl.compare.RunSummary]") -> Iterator[str]:
     """Yield the sources of measured rates in bags, and their resolution."""
     lawless = [found for found in summaries if found.is_lawless and "poses" not in found.lacks]
-    reporting = sum("rates" not in one.lacks or "differenced" in one.notes for one in lawless)
+    reporting = sum(one.reports_rate for one in lawless)
     if reporting and reporting == len(lawless):
         doubted = any(_RATE_DOUBTS & {*one.notes} and not _is_still(one) for one in lawless)
         doubt = ", and the poses contradict them" if doubted else ""

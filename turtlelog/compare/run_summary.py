@@ -42,6 +42,10 @@ HOLDINGS: Final[Mapping[str, Callable[[Run], bool]]] = MappingProxyType(
 """Data that metrics need: poses, samples of a controller, commands, a goal, reported rates."""
 
 
+_RATES: Final = ("speed_m_s", "measured_speed_m_s", "measured_turn_rate_rad_s")
+"""Columns of poses with rates that a robot reports."""
+
+
 def list_lacks(run: Run) -> tuple[str, ...]:
     """Return the elements of `HOLDINGS` that a run lacks."""
     return tuple(name for name, holds in HOLDINGS.items() if not holds(run))
@@ -63,6 +67,7 @@ class RunSummary:
         notes: Notes, as in `Run`, and one on jumps that the path length contains.
         declaration: Declaration of the law, as in `Run`.
         lacks: Elements of `HOLDINGS` that the run lacks.
+        reports_rate: Whether the robot reports at least one of its rates.
         conditions: Conditions that must agree before runs are ranked; None: unknown.
         goal_end: End of the run at its goal; None without poses or a goal.
     """
@@ -78,6 +83,7 @@ class RunSummary:
     notes: Mapping[str, str] = field(default_factory=dict)
     declaration: Declaration = field(default_factory=Declaration)
     lacks: tuple[str, ...] = ()
+    reports_rate: bool = False
     conditions: Conditions | None = None
     goal_end: GoalEnd | None = None
 
@@ -225,6 +231,7 @@ def summarise_measured(
         },
         declaration=run.declaration,
         lacks=list_lacks(run),
+        reports_rate=any(getattr(run.poses, name) is not None for name in _RATES),
         conditions=find_conditions(run, known) if len(run.poses) else None,
         goal_end=find_goal_end(run),
     )

@@ -440,13 +440,13 @@ def format_gain(found: Estimate | None) -> str:
     return "-" if found is None else f"{found.value:.3f} ({found.low:.3f} to {found.high:.3f})"
 
 
-def format_delay(found: Estimate | None) -> str:
-    """Return a delay with its interval in ms as text; `-` if there is no delay."""
+def format_delay(found: Estimate | None, unit: str = "") -> str:
+    """Return a delay in ms with a unit and its interval as text; `-` if there is no delay."""
     if found is None:
         return "-"
     value, low, high = (1e3 * number for number in (found.value, found.low, found.high))
     digits = 0 if high - low > _WHOLE_MS else 1
-    return f"{value:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"
+    return f"{value:.{digits}f}{unit} ({low:.{digits}f} to {high:.{digits}f})"
 
 
 def list_model_values(axis: AxisModel) -> tuple[str, str, str, str]:

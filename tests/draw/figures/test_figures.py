@@ -1,13 +1,7 @@
 """What figures show, read from their structure."""
 
 import io
-import re
-import sys
-from collections.abc import Sequence
-from dataclasses import fields, replace
-from functools import cache
-from pathlib import Path
-from typing import TypeVar
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,27 +10,17 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 import turtlelog as tl
+from tests.draw.figures.paper_runs import keep_poses, simulate
 from tests.draw.laws import simulate_pid, simulate_tracker
 from tests.draw.rerun.rrds import make_foreign_run
-from turtlelog.draw import list_left_out
 from turtlelog.draw.figures.figure_curves import choose_lines
 from turtlelog.draw.figures.page import Page, PageKind, break_label, save_figure
 from turtlelog.draw.figures.theory_figures import find_gains
 from turtlelog.errors import ShowError
-from turtlelog.run import CommandColumns, PoseColumns, SampleColumns
+from turtlelog.run import PoseColumns
 from turtlelog.scenario import get_preset
 
-Columns = TypeVar("Columns", SampleColumns, CommandColumns)
-
 GAINS = (1, 2, 4, 10)
-THEORY = ["plant", "step-responses", "root-locus"]
-
-
-@cache
-def simulate(kp: int) -> tl.Run:
-    return tl.simulate_run(get_preset(f"paper-kp{kp}"))
-
-
 RUNS = [simulate(kp) for kp in GAINS]
 
 
@@ -112,55 +96,6 @@ def test_figures_are_as_wide_as_the_page_has_room(kind: PageKind, width_mm: floa
 def test_a_page_of_no_sensible_width_is_refused(text_width_mm: float) -> None:
     with pytest.raises(ShowError, match="text width: expected 120 to 1000 mm"):
         tl.draw.Page(text_width_mm=text_width_mm)
-
-
-def keep_poses(run: tl.Run) -> tl.Run:
-    samples, commands = empty(run.samples), empty(run.commands)
-    return replace(run, samples=samples, commands=commands, goal_xy_m=None, parameters={})
-
-
-def empty(columns: Columns) -> Columns:
-    tables = {field.name: getattr(columns, field.name) for field in fields(columns)}
-    known = {name: table[:0] for name, table in tables.items() if table is not None}
-    return replace(columns, **known)
-
-
-@pytest.fixture(scope="module")
-def written(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    """Write a figure twice in every format."""
-    folders = [tmp_path_factory.mktemp(name) for name in ("once", "again")]
-    return [path for folder in folders for path in tl.write_figures(RUNS, folder, only=["heading"])]
-
-
-@pytest.mark.thorough
-def test_figures_are_written_in_every_format(written: list[Path]) -> None:
-    assert [path.name for path in written[:3]] == ["heading.pdf", "heading.png", "heading.svg"]
-    starts = [path.read_bytes()[:5] for path in written[:3]]
-    assert starts == [b"%PDF-", b"\x89PNG\r", b"<?xml"]
-
-
-def test_fonts_stand_in_the_pdf_as_truetype(written: list[Path]) -> None:
-    pdf = written[0].read_bytes()
-    assert b"/FontFile2" in pdf
-    assert b"/Type3" not in pdf
-
-
-def test_files_have_the_size_of_the_page(written: list[Path]) -> None:
-    points = re.search(rb"/MediaBox \[ 0 0 ([0-9.]+)", written[0].read_bytes())
-    assert points is not None
-    assert float(points[1]) / 72.0 * 25.4 == pytest.approx(87.5, abs=0.01)
-    pixels = int.from_bytes(written[1].read_bytes()[16:20])
-    assert pixels / 300.0 * 25.4 == pytest.approx(87.5, abs=0.1)
-
-
-def test_the_same_runs_give_the_same_files(written: list[Path]) -> None:
-    assert [path.read_bytes() for path in written[:3]] == [
-        path.read_bytes() for path in written[3:]
-    ]
-
-
-def test_without_runs_there_is_theory() -> None:
-    assert [name for name, kind in tl.draw.FIGURES.items() if not kind.find_lack([])] == THEORY
 
 
 def test_runs_stand_in_the_order_of_their_gains() -> None:
@@ -259,43 +194,6 @@ def test_names_that_differ_in_the_middle_stay_apart() -> None:
     runs = [replace(simulate(1), name=f"{'a' * 40}{part}{'b' * 40}") for part in "xy"]
     first, second = list_legend(tl.draw.draw_figure("heading", runs))[:2]
     assert (first[:2], second[:2]) == ("1:", "2:")
-
-
-HELD = ["heading", "position", "turn-rate", "speed", "plane", "panel"]
-
-
-@pytest.mark.thorough
-def test_of_poses_and_applied_commands_that_is_drawn_and_nothing_else(tmp_path: Path) -> None:
-    written = tl.write_figures([keep_poses(simulate(4))], tmp_path, formats=["svg"])
-    assert [path.stem for path in written] == HELD
-    assert list_left_out([keep_poses(simulate(4))]) == (
-        "left out plant, step-responses, root-locus, heading-error, world-velocity, error-log,"
-        " wanted-speed, table1.tex: needs the controller's samples",
-        "left out position-error: needs a goal",
-    )
-
-
-def test_of_poses_alone_no_command_is_drawn(tmp_path: Path) -> None:
-    run = keep_poses(simulate(4))
-    run = replace(run, poses=replace(run.poses, speed_m_s=None, turn_rate_rad_s=None))
-    written = tl.write_figures([run], tmp_path, formats=["svg"])
-    assert [path.stem for path in written] == ["heading", "position", "plane", "panel"]
-    assert "left out turn-rate, panel (turn rate): needs turn rate commands" in (
-        list_left_out([run])
-    )
-
-
-def test_of_a_whole_run_nothing_is_left_out() -> None:
-    assert list_left_out(RUNS) == list_left_out([simulate(10)]) == ()
-
-
-def test_what_some_runs_lack_is_named_with_them() -> None:
-    bag = replace(keep_poses(simulate(4)), name="bag")
-    lines = list_left_out([bag, simulate(1)], ["heading-error", "plane", "speed"])
-    assert lines == ("left bag out of heading-error: needs the controller's samples",)
-    bags = [replace(bag, name=f"bag{number}") for number in range(5)]
-    (line,) = list_left_out([*bags, simulate(1)], ["heading-error"])
-    assert line.startswith("left bag0, bag1, bag2 and 2 more out of heading-error: ")
 
 
 @pytest.mark.parametrize("command", ["speed", "turn-rate"])
@@ -398,58 +296,6 @@ def stop_far_away(run: tl.Run) -> tl.Run:
     return replace(run, poses=replace(run.poses, xy_m=xy_m))
 
 
-def test_a_table_without_a_value_is_left_out(tmp_path: Path) -> None:
-    written = tl.draw.write_tables([make_foreign_run(50)], tmp_path)
-    assert [path.name for path in written] == ["whole-runs.tex", "metrics.tex"]
-
-
-@pytest.mark.parametrize(
-    ("only", "runs", "match"),
-    [
-        (["headng"], [], 'no figure "headng"; did you mean heading\\?'),
-        (["heading"], [], "figure heading needs a recording"),
-        (["wanted-speed"], [keep_poses(simulate(4))], "needs what the law wanted before clip"),
-        (["plant"], [keep_poses(simulate(4))], "figure plant needs the law's gain"),
-    ],
-    ids=["unknown", "no run", "no samples", "no gain"],
-)
-def test_figures_that_cannot_be_are_refused_before_any_is_written(
-    only: Sequence[str], runs: Sequence[tl.Run], match: str, tmp_path: Path
-) -> None:
-    with pytest.raises(ShowError, match=match):
-        tl.write_figures(runs, tmp_path / "new", only=["plane" if runs else "plant", *only])
-    assert not (tmp_path / "new").exists()
-
-
-def test_an_unknown_format_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ShowError, match="expected some of pdf, png, svg, found 'gif'"):
-        tl.write_figures([], tmp_path, formats=["gif"])
-
-
-def test_a_folder_that_is_a_file_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    with pytest.raises(ShowError, match="file: expected a folder to write to"):
-        tl.write_figures([], tmp_path / "file")
-
-
-def test_tables_are_written_as_latex_in_the_order_of_gains(tmp_path: Path) -> None:
-    written = tl.draw.write_tables([simulate(10), simulate(2)], tmp_path)
-    assert [path.name for path in written] == ["whole-runs.tex", "table1.tex", "metrics.tex"]
-    for path in written:
-        text = path.read_text("utf-8")
-        assert rf"\label{{tab:{path.stem}}}" in text
-        assert r"\toprule" in text
-        assert r"\bottomrule" in text
-        assert text.index("paper-kp2") < text.index("paper-kp10")
-    assert r"\caption{Errors 15 s after the first sample}" in written[1].read_text("utf-8")
-
-
-def test_metrics_of_many_runs_stand_in_rows(tmp_path: Path) -> None:
-    metrics = tl.draw.write_tables([*RUNS, simulate(1)], tmp_path)[2].read_text("utf-8")
-    assert metrics.count("paper-kp") == 5
-    assert r"    paper-kp10 & 10 & " in metrics
-
-
 def test_a_run_of_one_pose_is_a_dot() -> None:
     poses = PoseColumns(time_ns=np.array([0]), xy_m=np.zeros((1, 2)), heading_rad=np.zeros(1))
     figure = tl.draw.draw_figure("position", [replace(keep_poses(simulate(4)), poses=poses)])
@@ -476,18 +322,6 @@ def test_a_long_run_is_thinned_and_says_so() -> None:
         assert len(drawn) < 21_000
         assert drawn.max() == long.xy_m[:, 0 if name == "position" else 1].max()
         assert "over 20,000 points are\nthinned" in figure.get_supxlabel()
-
-
-def test_without_python_control_figures_of_theory_are_left_out(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "control", None)
-    run = tl.simulate_run(get_preset("paper-kp10"))
-    theory = "plant, step-responses, root-locus"
-    assert f"left out {theory}: needs python-control" in list_left_out([run])
-    with pytest.raises(ShowError, match="figure plant needs python-control"):
-        tl.write_figures([], tmp_path)
-    assert tl.draw.draw_figure("heading", [run]).axes
 
 
 @pytest.mark.parametrize(("far_m", "is_drawn"), [(1e150, True), (1.1e150, False), (1.7e308, False)])

@@ -263,8 +263,7 @@ _EXACT_S: Final = 5e-5  # largest width of an interval that tenths of a millisec
 def _tell_ms(found: identify.Estimate) -> str:
     if found.high - found.low < _EXACT_S:
         return f"{1e3 * found.value:.3g} ms"
-    value, _, interval = identify.format_delay(found).partition(" ")
-    return f"{value} ms {interval}"
+    return identify.format_delay(found, " ms")
 
 
 def write_robot_figure(

@@ -119,10 +119,16 @@ def describe_paths(paths: Paths, others: str | None = None) -> str | None:
 
     Where the poses may be wrong, it names `others`, the other topics with poses.
     """
+    found = _find_contradiction(paths, others)
+    return None if found is None else ": ".join(found)
+
+
+def _find_contradiction(paths: Paths, others: str | None) -> tuple[str, str] | None:
+    """Return how paths differ, and the likely error; None if the paths agree."""
     more = "" if others is None else f"; others: {others}"
     if paths.is_still:
         still = _describe_still(paths)
-        return still and f"{still}{more}"
+        return still and (still[0], f"{still[1]}{more}")
     if paths.by_speed is None or max(paths.by_poses, paths.by_speed) < _LEAST_M:
         return None
     if not _differ(paths.by_poses, paths.by_speed):
@@ -130,19 +136,17 @@ def describe_paths(paths: Paths, others: str | None = None) -> str | None:
     by_poses, by_speed = (format_short(one, "m") for one in (paths.by_poses, paths.by_speed))
     found = f"the path is {by_poses} by the poses and {by_speed} by the reported speed"
     blamed, is_speed = _blame(paths, paths.by_speed)
-    return f"{found}: {blamed}{'' if is_speed else more}"
+    return found, f"{blamed}{'' if is_speed else more}"
 
 
-def _describe_still(paths: Paths) -> str | None:
+def _describe_still(paths: Paths) -> tuple[str, str] | None:
     if paths.by_speed is not None and paths.by_speed >= _LEAST_M:
         way = format_short(paths.by_speed, "m")
-        return f"the poses never move, and are likely wrong: the reported speed drives {way}"
+        return "the poses never move, and are likely wrong", f"the reported speed drives {way}"
     if paths.by_commands is not None and paths.by_commands >= _LEAST_M:
         way = format_short(paths.by_commands, "m")
-        return (
-            f"the poses never move though commands ask for {way}: nobody computes them, or the"
-            " robot was held"
-        )
+        found = f"the poses never move though commands ask for {way}"
+        return found, "nobody computes them, or the robot was held"
     return None
 
 
@@ -329,14 +333,14 @@ def describe_speed(
     The `columns` of x, y and speed are those in assumed units.
     """
     paths = measure_paths(time_ns, {"x": xy_m[:, 0], "y": xy_m[:, 1], SPEED: speed_m_s})
-    found = describe_paths(paths)
+    found = _find_contradiction(paths, None)
     if found is None:
         return ""
     ratio = (paths.by_speed or 0.0) / paths.by_strides if paths.by_strides else 0.0
     proposed = _propose("speed", columns.get("speed", ""), ratio)
     if {"x", "y"} <= {*columns} and not proposed:
         proposed = next(_propose_lengths(columns, ratio), "")
-    return f"{found.partition(':')[0]}{proposed}" if proposed else found
+    return f"{found[0]}{proposed}" if proposed else ": ".join(found)
 
 
 _FACTORS: Final[Mapping[str, Mapping[str, float]]] = {
