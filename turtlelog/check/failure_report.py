@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from turtlelog import errors, explain
+from turtlelog.check.formula_trace import find_loss
 from turtlelog.check.reference import MetricsFile
 from turtlelog.check.result import CheckResult, JudgedMetric
 from turtlelog.check.spec import Check
@@ -328,6 +329,8 @@ def explain_failures(
     named = [(one, name) for one in failed for name in _list_names(one) if name in known]
     chosen, metric = min(named or [(failed[0], main)], key=lambda pair: pair[1] != main)
     words = ["turtlelog", "compare", place, chosen.file, "--why", metric]
+    are_lost = any(isinstance(one, Run) and find_loss(one) for one in (run, reference))
+    words += ["--partial"] if are_lost else []
     more = shlex.join([*words, *(["--trust-law"] if trust_law else [])])
     if isinstance(reference, MetricsFile):
         why = _explain_metrics(run, reference, metric, limit_s, more, trust_law=trust_law)
