@@ -182,6 +182,9 @@ assumed slip alone causes 0.01 or 0.02: significant in a long log, but harmless.
 _NEIGHBOURS_S: Final = 0.5
 """Largest time between neighbours [s]: the duration of a usual robot's step response."""
 
+OVER_TIME: Final = "earlier and later commands"
+"""Parts of the motion that differ if something besides the commands acts on the robot for a time."""
+
 _MOST: Final = 3.0  # limit of residuals in this comparison, in standard deviations
 _TELLS: Final = 1.05  # growth factor of an interval from which the growth is reported
 
@@ -370,7 +373,7 @@ def _split_steps(axis: Axis, fit: AxisFit) -> Iterator[tuple[str, NDArray[np.boo
     yield "small and large commands", change <= float(np.median(change))
     yield "positive and negative commands", value + earlier > 0.0
     yield "rising and falling commands", np.abs(value) > np.abs(earlier)
-    yield "earlier and later commands", np.arange(len(value)) < len(value) // 2
+    yield OVER_TIME, np.arange(len(value)) < len(value) // 2
     yield f"commands with and without a {NAMES[OTHER[axis]]}", np.concatenate(beside) != 0.0
 
 

@@ -21,7 +21,12 @@ from turtlelog.identify.axis_motion import (
     get_commands,
     read_axis_motion,
 )
-from turtlelog.identify.fit_values import cover_waiting, describe_fit, find_differing_parts
+from turtlelog.identify.fit_values import (
+    OVER_TIME,
+    cover_waiting,
+    describe_fit,
+    find_differing_parts,
+)
 from turtlelog.identify.held_response import COUPLED, Values
 from turtlelog.identify.robot_model import AxisModel, Estimate, Refusal
 from turtlelog.identify.robot_noise import RESTED_S
@@ -121,6 +126,7 @@ _EARLY: Final = (
     "no delay fits best, and the intervals are wide: the motion may lead the commands, or noise"
     " hides the delay"
 )
+_UNDISTURBED: Final = ", while no emergency stop and no other program acts"
 _ONE_CLOCK: Final = ", and record commands without delay, by the clock of the poses"
 
 
@@ -249,9 +255,12 @@ def _doubt_fit(found: AxisModel, fit: AxisFit) -> AxisModel | None:
     if not (refused and found.doubts) or _refuse_wide(describe_fit(found.axis, fit, 0), fine_s):
         return refused
     differing = find_differing_parts(found.axis, fit)
+    if not differing:
+        return refused
     told = f", as the response differs between {', and between '.join(differing)}"
-    # No model has such a response, so that no drive would show its values.
-    return replace(refused, reason=f"{refused.reason}{told}", advice="") if differing else refused
+    # No model has such a response, so that no drive shows its values, unless it was disturbed.
+    advice = f"{refused.advice}{_UNDISTURBED}" if OVER_TIME in differing else ""
+    return replace(refused, reason=f"{refused.reason}{told}", advice=advice)
 
 
 def _refuse_wide(found: AxisModel, fine_s: float = 0.0, *, drive: str = "") -> AxisModel | None:
