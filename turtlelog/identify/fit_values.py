@@ -183,7 +183,7 @@ _NEIGHBOURS_S: Final = 0.5
 """Largest time between neighbours [s]: the duration of a usual robot's step response."""
 
 OVER_TIME: Final = "earlier and later commands"
-"""Parts of the motion that differ if something besides the commands acts on the robot for a time."""
+"""Parts that differ if something besides the commands acts on the robot for a time."""
 
 _MOST: Final = 3.0  # limit of residuals in this comparison, in standard deviations
 _TELLS: Final = 1.05  # growth factor of an interval from which the growth is reported

@@ -1,6 +1,6 @@
 """Causes why commands and motion do not identify an axis, advice, and what a log leaves open."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final
 
@@ -254,7 +254,11 @@ def _doubt_fit(found: AxisModel, fit: AxisFit) -> AxisModel | None:
         return replace(refused, reason=_EARLY, advice=f"{refused.advice}{_ONE_CLOCK}")
     if not (refused and found.doubts) or _refuse_wide(describe_fit(found.axis, fit, 0), fine_s):
         return refused
-    differing = find_differing_parts(found.axis, fit)
+    return _refuse_differing(refused, find_differing_parts(found.axis, fit))
+
+
+def _refuse_differing(refused: AxisModel, differing: Collection[str]) -> AxisModel:
+    """Return an axis without values with the parts of the motion that differ as the reason."""
     if not differing:
         return refused
     told = f", as the response differs between {', and between '.join(differing)}"
