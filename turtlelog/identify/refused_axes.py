@@ -13,16 +13,17 @@ from turtlelog.identify.axis_motion import (
     LARGEST_DEAD_TIME_S,
     NAMES,
     OTHER,
+    OVER_TIME,
     STANDING,
     UNITS,
     Axis,
     AxisMotion,
+    find_repetition,
     find_rests,
     get_commands,
     read_axis_motion,
 )
 from turtlelog.identify.fit_values import (
-    OVER_TIME,
     cover_waiting,
     describe_fit,
     find_differing_parts,
@@ -286,17 +287,6 @@ def _is_wide(value: Estimate, fine: float = 0.0) -> bool:
     return value.high - value.low > max(value.value, fine)
 
 
-_SAMPLE_S: Final = 0.01  # sampling time for the comparison of commands with earlier ones [s]
-_MOST_S: Final = 120.0  # length of each run that is compared [s]
-
-_ALIKE: Final = 0.8
-"""Correlation from which commands repeat: a switch that is 5 % of a period early or late reduces
-the correlation to this value. The motion decides whether another delay explains as much."""
-
-_DIPS: Final = 0.5
-"""Correlation below which commands must fall before they count as repeated, because slow commands
-resemble the commands shortly before."""
-
 _DIFFERS: Final = 0.25
 """Smallest difference of two models in a decisive step, as a share of the largest step."""
 
@@ -304,30 +294,6 @@ _FEWEST: Final = 3  # smallest number of decisive steps; fewer steps may be jump
 
 _BETTER: Final = 0.5
 """Largest error of the right model in these steps, as a share of the other model's error."""
-
-
-def find_repetition(motions: Sequence[AxisMotion]) -> tuple[float, int] | None:
-    """Return the time after which commands repeat [s], and their sign; None if they do not repeat.
-
-    Only times up to the largest dead time count, because a later repetition causes no ambiguity.
-    """
-    moving = [motion for motion in motions if len(motion.moved) and motion.commands.value.any()]
-    commands = [_sample(motion) for motion in moving]
-    if not any(map(len, commands)):
-        return None
-    mean = float(np.concatenate(commands).mean())
-    lags = np.arange(1, round(LARGEST_DEAD_TIME_S / _SAMPLE_S) + 1)
-    plain = np.array([_correlate(commands, 0.0, lag) for lag in lags.tolist()])
-    centred = np.array([_correlate(commands, mean, lag) for lag in lags.tolist()])
-    has_dipped = np.maximum.accumulate(centred < _DIPS)
-    # Mean values of opposite sign go the other way.
-    for alike, sign in ((-plain, -1), (np.where(has_dipped, centred, 0.0), 1)):
-        if alike.max() >= _ALIKE:
-            begin = int(np.argmax(alike >= _ALIKE))
-            length = int(np.argmin(np.append(alike[begin:], -1.0) >= _ALIKE))
-            best = begin + int(np.argmax(alike[begin : begin + length]))
-            return float(lags[best]) * _SAMPLE_S, sign
-    return None
 
 
 def _refuse_twin(
@@ -350,24 +316,6 @@ def _refuse_twin(
         own, other = (gain, dead_time_s), (its_sign * gain, other_s)
         return refuse_axis(axis, "repeated", how=how, own=own, other=other)
     return None
-
-
-def _sample(motion: AxisMotion) -> Values:
-    """Return held commands at equal times, from the first nonzero one to the end of the last."""
-    time_s, value = motion.commands.time_s, motion.commands.value
-    moving = np.flatnonzero(value)
-    ends_s = np.append(time_s[1:], motion.time_s[-1])
-    begin_s, end_s = float(time_s[moving[0]]), float(ends_s[moving[-1]])
-    at_s = np.arange(begin_s, min(end_s, begin_s + _MOST_S), _SAMPLE_S)
-    return np.asarray(value[np.searchsorted(time_s, at_s, side="right") - 1])
-
-
-def _correlate(commands: Sequence[Values], mean: float, lag: int) -> float:
-    pairs = [(one[lag:] - mean, one[:-lag] - mean) for one in commands if len(one) > lag]
-    along = sum(float(one @ other) for one, other in pairs)
-    sizes = [sum(float(pair[row] @ pair[row]) for pair in pairs) for row in (0, 1)]
-    size = float(np.sqrt(sizes[0] * sizes[1]))
-    return along / size if size > 0.0 else 0.0
 
 
 def _compare(fit: AxisFit, twin: Values) -> float | None:
