@@ -234,6 +234,22 @@ def test_a_truncated_recording_fails_unless_partial_is_asked_for(
     assert " recording " not in call("check", spec, cut, "--partial").out
 
 
+def test_the_advised_check_of_a_truncated_recording_reads_what_is_left(
+    call: Call, kp4: Path, tmp_path: Path
+) -> None:
+    cut, spec = tmp_path / "cut.mcap", tmp_path / "spec.toml"
+    cut.write_bytes(kp4.read_bytes()[:-2000])
+    advised = call("check", "--init", cut, "--partial", "-o", spec).flat
+    assert advised.endswith(f"turtlelog check {spec} FILE... --partial")
+    assert "turtlelog check SPEC RUN... --partial" in spec.read_text("utf-8").splitlines()[0]
+    assert call("check", spec, cut, "--partial").code == 0
+    answer = call("check", spec, cut)  # the reference, which is cut, only explains
+    assert (answer.code, answer.err) == (1, "")
+    more = f"compare {cut} {cut} --why final.position_error --partial"
+    assert more.replace(str(cut), "cut.mcap") in answer.flat.replace(str(cut), "cut.mcap")
+    assert call(*more.split()).code == 0
+
+
 def write_unreadable(folder: Path, whole: bytes) -> dict[Path, str]:
     """Write files that are no recordings, and return what is said of each."""
     ended = "truncated or unfinished (no end of an MCAP file"

@@ -153,6 +153,10 @@ def test_an_effect_is_named_beyond_the_resolution(queue: float, cause: str) -> N
     [
         ({"queue": 0.011}, "queue +0.011 m"),
         ({"queue": 0.009}, "effects add only 0.009 m"),  # within the resolution of 0.01 m
+        (
+            {"queue": -0.009},
+            "the effects lower it by 0.009 m, within its resolution of 0.01 m",
+        ),
         ({"contributions": ()}, "no effect changes it"),
         ({"queue": 0.5, "pause": 0.3, "together": JOINT}, "queue and pause add 0.8 m"),
         ({"queue": 0.5, "pause": 0.3}, "mainly queue +0.5 m"),

@@ -15,10 +15,11 @@ from tests.known import known
 from turtlelog.cli.identify import format_robot
 from turtlelog.identify import AxisModel, Estimate
 from turtlelog.identify.axis_fit import fit_axis
-from turtlelog.identify.axis_motion import find_silent_stops, read_axis_motion
+from turtlelog.identify.axis_motion import read_axis_motion
 from turtlelog.identify.fit_values import cover_parts, describe_fit
 from turtlelog.identify.refused_axes import refuse_begun
 from turtlelog.identify.robot_noise import find_outlying_steps
+from turtlelog.measure.response import find_silent_stops
 
 QUIET = Log(duration_s=12.0, jitter_s=0.0)
 

@@ -18,8 +18,8 @@ from turtlelog.compare import compare_robot
 from turtlelog.errors import TurtlelogError
 from turtlelog.identify import build_robot_scenario
 from turtlelog.identify.axis_fit import _estimate_covariance
-from turtlelog.identify.axis_motion import find_silent_stops
 from turtlelog.identify.robot_noise import fit_noise
+from turtlelog.measure.response import find_silent_stops
 
 SIZES = st.sampled_from([0.0, 1e-300, 1e-9, 0.5, 1.0, 1e8, 1e150])
 

@@ -14,6 +14,7 @@ from tests.identify.wheel_robots import Wheeled
 from tests.known import known
 from turtlelog.identify import AxisModel, build_robot_scenario
 from turtlelog.identify.axis_motion import read_axis_motion
+from turtlelog.identify.fit_values import find_joint_changes
 from turtlelog.identify.held_response import hold_commands
 from turtlelog.run import Run
 
@@ -120,5 +121,6 @@ def test_changes_within_a_tenth_of_a_second_are_joint(later_s: float, *, joint: 
     value = np.array([0.5, 0.0, 0.5])
     motion = read_axis_motion(identify_braking()[0], "turn_rate")
     commands, beside = (hold_commands(one, value) for one in (time_s, time_s + later_s))
-    assert replace(motion, commands=commands, beside=beside).joint.tolist() == [joint] * 3
-    assert not replace(motion, commands=commands, beside=None).joint.any()
+    both = replace(motion, commands=commands, beside=beside)
+    assert find_joint_changes(both).tolist() == [joint] * 3
+    assert not find_joint_changes(replace(both, beside=None)).any()

@@ -6,8 +6,7 @@ import pytest
 import turtlelog as tl
 from tests.identify.robots import Log, Truth, Values, make_run
 from turtlelog.identify import AxisModel
-from turtlelog.identify.axis_motion import read_axis_motion
-from turtlelog.identify.refused_axes import find_repetition
+from turtlelog.identify.axis_motion import find_repetition, read_axis_motion
 
 
 def switch(time_s: Values, period_s: float, low: float = -1.0) -> Values:

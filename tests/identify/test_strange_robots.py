@@ -110,3 +110,23 @@ def test_a_robot_that_brakes_faster_than_it_accelerates_is_refused_for_that(
     assert axis.is_known is not bool(reason)
     assert reason in axis.reason
     assert axis.advice == ""
+
+
+def test_a_drive_with_an_emergency_stop_is_refused_with_advice_for_one_without() -> None:
+    """A search for a structure that is none takes longer."""
+    time_s = np.arange(0.0, 55.0, 0.02)
+    levels = np.array([0.0, 0.5, -1.0, 1.0, -0.5, 0.25, -0.75, 0.75, -0.25] * 3)
+    command_s = np.cumsum(np.full(len(levels), 2.0)) - 1.0
+    held = levels[np.maximum(np.searchsorted(command_s, time_s - 0.1, side="right") - 1, 0)]
+    rate, rates = 0.0, []
+    for now_s, command in zip(time_s.tolist(), held.tolist(), strict=True):
+        is_stopped = now_s > 40.0
+        lag_s = 0.05 if is_stopped else 0.2
+        rate += (0.9 * command * (not is_stopped) - rate) * (1.0 - np.exp(-0.02 / lag_s))
+        rates.append(rate)
+    commands = command_s, np.zeros(len(levels)), levels
+    run = build_run(time_s, np.zeros((len(time_s), 2)), np.cumsum(rates) * 0.02, commands)
+    axis = tl.identify_robot(run).turn_rate
+    assert "between earlier and later commands" in axis.reason
+    drive = "step the turn rate ten times for 2 s"
+    assert axis.advice == f"{drive}, while no emergency stop and no other program acts"

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from turtlelog import errors, explain
+from turtlelog.check.formula_trace import find_loss
 from turtlelog.check.reference import MetricsFile
 from turtlelog.check.result import CheckResult, JudgedMetric
 from turtlelog.check.spec import Check
@@ -101,8 +102,7 @@ def _list_violation(run: Run, result: CheckResult) -> Iterator[str]:
         yield f"  first violated  no single moment ({describe_clock(run)})"
         return
     yield f"  first violated  {at_s:.3f} s ({describe_clock(run)})"
-    for line in tabulate_surroundings(run, result.names, at_s):
-        yield f"    {line}"
+    yield from (f"    {line}" for line in tabulate_surroundings(run, result.names, at_s))
 
 
 def _list_scenario(run: Run, result: CheckResult) -> Iterator[str]:
@@ -334,8 +334,9 @@ def explain_failures(
     known = of_reference & list_metrics(run.declaration).keys()
     named = [(one, name) for one in failed for name in _list_names(one) if name in known]
     chosen, metric = min(named or [(failed[0], main)], key=lambda pair: pair[1] != main)
-    words = ["turtlelog", "compare", place, chosen.file, "--why", metric]
-    more = shlex.join([*words, *(["--trust-law"] if trust_law else [])])
+    are_lost = any(isinstance(one, Run) and find_loss(one) for one in (run, reference))
+    options = ["--partial"] * are_lost + ["--trust-law"] * trust_law
+    more = shlex.join(["turtlelog", "compare", place, chosen.file, "--why", metric, *options])
     if isinstance(reference, MetricsFile):
         why = _explain_metrics(run, reference, metric, limit_s, more, trust_law=trust_law)
     else:

@@ -73,11 +73,11 @@ def format_first_spec(run: Run, *, reference: str, read: ReadChoice | None = Non
     `reference` is the run's file as the specification names it; `read` are the settings with which
     the run was read, so that other recordings are read equally.
     """
-    doubt = find_doubt(run)
+    doubt, partial = find_doubt(run), "" if find_loss(run) is None else " --partial"
     checks = [*(_list_of_motion(run) if run.is_lawless else _list_of_law(run))]
     count = describe_count("\n".join(checks).count("[checks."), "check")
     head = (
-        f"# {count} read off 1 run, {_comment(run.name)}: turtlelog check SPEC RUN...",
+        f"# {count} read off 1 run, {_comment(run.name)}: turtlelog check SPEC RUN...{partial}",
         "# Bounds marked observed = true were read off that run. Ask of each what it should be,",
         "# change it, and take the mark away.",
         *([] if doubt is None else [f"# Was it a good run? {_comment(doubt)}"]),

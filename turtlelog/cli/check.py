@@ -244,6 +244,7 @@ def _require_known(spec: "tl.Spec", files: Sequence[Path], topics: options.Readi
 def _write_first(
     path: Path, words: Sequence[Path], output: Path | None, topics: options.ReadingOptions
 ) -> int:
+    from turtlelog.check.formula_trace import find_loss
     from turtlelog.check.judge_run import read_to_judge
     from turtlelog.check.spec_templates import find_doubt, format_first_spec, name_reference
 
@@ -268,10 +269,11 @@ def _write_first(
     console.print_note(f"wrote {output}")
     checks = describe_count(text.count("\n[checks."), "check")
     spec = console.quote_file(output)
+    partial = "" if find_loss(run) is None else " --partial"
     lines = [
         f"{output.name}: {checks} read off {file.name}, each bound with its reason.",
         *doubts,
-        f"Set each bound to what it should be. Then: turtlelog check {spec} FILE...",
+        f"Set each bound to what it should be. Then: turtlelog check {spec} FILE...{partial}",
     ]
     console.print_text(console.fill_lines(lines))
     return console.EXIT_FINE

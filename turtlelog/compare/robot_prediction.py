@@ -29,6 +29,7 @@ from turtlelog.identify import AxisTraces, axis_motion
 from turtlelog.identify.axis_motion import AXES, Axis, AxisMotion, get_commands
 from turtlelog.identify.robot_noise import NORMAL_MAD, find_short_runs
 from turtlelog.measure.reductions import Rows, Values
+from turtlelog.measure.response import LOOK_S
 from turtlelog.replay.plant_replay import sense_driven
 from turtlelog.run import CommandColumns, PoseColumns, Run
 from turtlelog.run.angles import subtract_headings
@@ -380,7 +381,7 @@ def _find_known(run: Run, scenario: Scenario) -> int:
     poses, first_ns = run.poses, int(run.commands.time_ns[0])
     earlier = poses.time_ns <= first_ns
     seen_s = (poses.time_ns[earlier][-1] - poses.time_ns[0]) / 1e9 if earlier.any() else 0.0
-    if seen_s >= axis_motion.LOOK_S and all(_stands(run, axis, earlier, seen_s) for axis in AXES):
+    if seen_s >= LOOK_S and all(_stands(run, axis, earlier, seen_s) for axis in AXES):
         return int(poses.time_ns[0])
     delays_s = [
         _find_delay(scenario, axis, float(np.abs(get_commands(run, axis)).max()), _FADED)

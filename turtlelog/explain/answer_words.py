@@ -55,8 +55,9 @@ def write_headline(found: AttributedValue) -> str:
         main = "no effect changes it"
     elif is_negligible(found):
         added = sum_effects(found)
-        does = "add" if added >= 0.0 else "lower it by"
-        main = f"effects {does} only {_format_value(found, abs(added))}"
+        size, least = (_format_value(found, one) for one in (abs(added), found.resolution.size))
+        lower = f"the effects lower it by {size}, within its resolution of {least}"
+        main = f"effects add only {size}" if added >= 0.0 else lower
     else:
         main = "no effect is distinguishable from chance"
     mean = " in the mean" if found.seeds is not None else ""

@@ -9,7 +9,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from turtlelog.errors import IdentifyError
-from turtlelog.identify.axis_motion import LARGEST_DEAD_TIME_S, AxisMotion, count_steps
+from turtlelog.identify.axis_motion import LARGEST_DEAD_TIME_S, AxisMotion
 from turtlelog.identify.held_response import FIRST_ORDER, HeldResponse, Structure, Values
 from turtlelog.identify.robot_noise import LEAST_STEP, NORMAL_MAD, Whitening, learn_noise
 
@@ -333,6 +333,11 @@ def _conclude(
         is_outlier=is_outlier,
         whitening=whitening,
     )
+
+
+def count_steps(motions: Sequence[AxisMotion]) -> int:
+    """Return the total number of steps of the runs."""
+    return sum(len(motion.moved) for motion in motions)
 
 
 def _search_start(motions: Sequence[AxisMotion]) -> Values:

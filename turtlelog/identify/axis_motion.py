@@ -1,10 +1,9 @@
 """The motion of one axis of a run, recorded and predicted: displacements, rates and commands.
 
-Many bases stop some tenths of a second after the last command if no 0 is sent. A model that holds
-commands forever would mistake this for a slow robot.
+A stop of the robot without a command counts as a command of 0: otherwise it would seem slow.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, Literal
 
@@ -15,6 +14,7 @@ from turtlelog.errors import IdentifyError
 from turtlelog.identify.held_response import HeldInput, Values, hold_commands
 from turtlelog.measure.pose_noise import find_spacing
 from turtlelog.measure.pose_quality import find_travel_direction
+from turtlelog.measure.response import SILENCE_S, SilentStop, find_silent_stops
 from turtlelog.run import PoseColumns, Run
 from turtlelog.run.angles import subtract_headings, wrap_angle
 from turtlelog.run.loops import COMMAND_UNITS, COMMAND_WORDS
@@ -59,23 +59,6 @@ STANDING: Final = 0.02
 _FEWEST_WAITING, _BY_NOISE = 8, 2.0
 """Number of steps whose scatter shows the noise of their sum, and the standard deviations that are
 noise. The sum of eight equal steps has 2.8."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SilentStop:
-    """A stop of the robot without a command.
-
-    Attributes:
-        begin_s: Time of the last command [s].
-        stop_s: Time at which the rate has dropped to half [s].
-        end_s: Time of the next command, or of the last pose [s]; later for an unseen stop.
-        is_seen: Whether the poses show the rest; else other silences do.
-    """
-
-    begin_s: float
-    stop_s: float
-    end_s: float
-    is_seen: bool = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -131,14 +114,6 @@ class AxisMotion:
         bends_rad = np.diff(self.direction_rad, prepend=0.0)
         return np.asarray(np.where(self.follows, np.cos(bends_rad), 0.0))
 
-    @property
-    def joint(self) -> NDArray[np.bool_]:
-        """Whether each change of the command comes together with one of the other axis."""
-        changes_s = self.commands.time_s[1:]
-        others_s = np.empty(0) if self.beside is None else self.beside.time_s[1:]
-        first = np.searchsorted(others_s, changes_s - AT_ONCE_S)
-        return np.asarray(first < np.searchsorted(others_s, changes_s + AT_ONCE_S, side="right"))
-
     def is_alone(self, dead_time_s: float, settled_s: float = 0.0) -> NDArray[np.bool_]:
         """Return whether the command of the other axis is 0 in each step, for some time [s]."""
         if self.beside is None:
@@ -188,7 +163,7 @@ def read_axis_motion(run: Run, axis: Axis) -> AxisMotion:
     places = np.searchsorted(command_s, stop_s, side="right")
     commands = hold_commands(np.insert(command_s, places, stop_s), np.insert(command, places, 0.0))
     for stop in stops:
-        is_sound &= (ends_s <= stop.begin_s + _SILENCE_S) | (begins_s >= stop.end_s)
+        is_sound &= (ends_s <= stop.begin_s + SILENCE_S) | (begins_s >= stop.end_s)
     first_s = command_s[np.argmax(command != 0.0)]
     # A recording that starts with the commands shows a rest in its first step.
     earlier = ends_s <= max(first_s, ends_s.min(initial=np.inf))
@@ -263,11 +238,6 @@ def _find_active(commands: HeldInput, begins_s: Values, ends_s: Values) -> NDArr
     return np.asarray((latest >= 0) & (begins_s <= over_s + MEMORY_S))
 
 
-def count_steps(motions: Sequence[AxisMotion]) -> int:
-    """Return the total number of steps of the runs."""
-    return sum(len(motion.moved) for motion in motions)
-
-
 _SETTLES: Final = 3.0
 """Time constants after which a robot counts as at rest: 5 % of its rate is left, which the model
 explains to a tenth."""
@@ -309,78 +279,83 @@ def split_motions(motions: Sequence[AxisMotion]) -> list[Parts]:
     return splits
 
 
-_WATCHDOG_S, _SILENCE_S = 0.5, 0.4
-"""Shortest time for which mobile bases wait before they stop by themselves [s], and the same with
-an allowance for jitter."""
-
-LOOK_S: Final = 0.3
-"""Time for which a robot must be at rest before the end of a silence or a first command [s]."""
-
-_JOINED_S: Final = 0.1
-"""Time over which rates are averaged [s]; otherwise noise of poses would hide the time of a
-stop."""
-
-_STOPPED: Final = 0.1  # share of the largest rate in a silence below which the robot is at rest
-
-_OBEYS: Final = 0.25
-"""Share of the held command from which a robot still follows it: gains are at least 0.5. Before a
-small command, the robot may have been ten times as fast."""
-
-_ABOVE_NOISE: Final = 3.0
-"""Smallest motion in a silence, as a multiple of the scatter of the poses at its end: noise of
-1,000 poses spreads 2.5 times as far as noise of six."""
+OVER_TIME: Final = "earlier and later commands"
+"""Parts that differ if something besides the commands acts on the robot for a time."""
 
 
-def find_silent_stops(
-    command_s: Values, command: Values, time_s: Values, moved: Values
-) -> list[SilentStop]:
-    """Return the silences after a nonzero command in which a robot stops, or may stop.
+def divide_steps(
+    motions: Sequence[AxisMotion], axis: Axis, dead_time_s: float
+) -> Iterator[tuple[str, NDArray[np.bool_]]]:
+    """Yield divisions of the steps by one criterion: whether the first of two commands acts."""
+    acting, before, beside = [], [], []
+    for motion in motions:
+        end_s = motion.time_s[motion.first + 1] - dead_time_s
+        held = motion.commands.place(end_s).held
+        acting.append(motion.commands.value[held])
+        before.append(motion.commands.value[np.maximum(held - 1, 0)])
+        other = motion.beside
+        beside.append(0.0 * end_s if other is None else other.value[other.place(end_s).held])
+    value, earlier = np.concatenate(acting), np.concatenate(before)
+    change = np.abs(value - earlier)
+    yield "small and large commands", change <= float(np.median(change))
+    yield "positive and negative commands", value + earlier > 0.0
+    yield "rising and falling commands", np.abs(value) > np.abs(earlier)
+    yield OVER_TIME, np.arange(len(value)) < len(value) // 2
+    yield f"commands with and without a {NAMES[OTHER[axis]]}", np.concatenate(beside) != 0.0
 
-    `time_s` are the times of the poses [s], shape (n + 1,), `moved` the steps between them, (n,).
+
+_SAMPLE_S: Final = 0.01  # sampling time for the comparison of commands with earlier ones [s]
+_MOST_S: Final = 120.0  # length of each run that is compared [s]
+
+_ALIKE: Final = 0.8
+"""Correlation from which commands repeat: a switch that is 5 % of a period early or late reduces
+the correlation to this value. The motion decides whether another delay explains as much."""
+
+_DIPS: Final = 0.5
+"""Correlation below which commands must fall before they count as repeated, because slow commands
+resemble the commands shortly before."""
+
+
+def find_repetition(motions: Sequence[AxisMotion]) -> tuple[float, int] | None:
+    """Return the time after which commands repeat [s], and their sign; None if they do not repeat.
+
+    Only times up to the largest dead time count, because a later repetition causes no ambiguity.
     """
-    if not len(command) or not len(moved):
-        return []
-    ends_s = np.append(command_s[1:], time_s[-1])
-    silent = np.flatnonzero((ends_s - command_s > _SILENCE_S) & (command != 0.0))
-    rows = np.column_stack([command_s, ends_s, np.abs(command)])[silent].tolist()
-    long = [row for row in rows if row[1] - row[0] > _SILENCE_S + LOOK_S]
-    looks = (_look_at_silence(row[0], row[1], row[2], time_s, moved) for row in long)
-    seen = [stop for stop in looks if stop is not None]
-    if not seen:
-        return []
-    known, wait_s = {one.begin_s for one in seen}, min(one.stop_s - one.begin_s for one in seen)
-    for begin_s, end_s, _ in rows:
-        # The robot may also stop in silences that are too short to show its rest.
-        is_near = -LOOK_S <= end_s - begin_s - wait_s <= LOOK_S + _SILENCE_S
-        if begin_s not in known and is_near and end_s - begin_s > _WATCHDOG_S:
-            stop_s, until_s = min(begin_s + wait_s, end_s - 1e-9), end_s + LOOK_S
-            seen.append(SilentStop(begin_s=begin_s, stop_s=stop_s, end_s=until_s, is_seen=False))
-    return sorted(seen, key=lambda stop: stop.begin_s)
+    moving = [motion for motion in motions if len(motion.moved) and motion.commands.value.any()]
+    commands = [_sample(motion) for motion in moving]
+    if not any(map(len, commands)):
+        return None
+    mean = float(np.concatenate(commands).mean())
+    lags = np.arange(1, round(LARGEST_DEAD_TIME_S / _SAMPLE_S) + 1)
+    plain = np.array([_correlate(commands, 0.0, lag) for lag in lags.tolist()])
+    centred = np.array([_correlate(commands, mean, lag) for lag in lags.tolist()])
+    has_dipped = np.maximum.accumulate(centred < _DIPS)
+    # Mean values of opposite sign go the other way.
+    for alike, sign in ((-plain, -1), (np.where(has_dipped, centred, 0.0), 1)):
+        if alike.max() >= _ALIKE:
+            begin = int(np.argmax(alike >= _ALIKE))
+            length = int(np.argmin(np.append(alike[begin:], -1.0) >= _ALIKE))
+            best = begin + int(np.argmax(alike[begin : begin + length]))
+            return float(lags[best]) * _SAMPLE_S, sign
+    return None
 
 
-def _look_at_silence(
-    begin_s: float, end_s: float, held: float, time_s: Values, moved: Values
-) -> SilentStop | None:
-    first, after = np.searchsorted(time_s, [begin_s, end_s])
-    way = np.concatenate([[0.0], np.cumsum(moved[first : after - 1])])
-    at_s = time_s[first:after]
-    last_s = at_s[-1] - LOOK_S if len(at_s) else begin_s
-    if len(at_s) < 4 or last_s <= begin_s:
-        return None
-    before = np.interp(at_s - _JOINED_S, at_s, way)
-    is_whole = at_s >= at_s[0] + _JOINED_S
-    rate = np.abs(way - before)[is_whole] / _JOINED_S
-    rate_s = at_s[is_whole] - 0.5 * _JOINED_S
-    # The mean, because at a slow command noise of poses looks like motion.
-    left = abs(float(way[-1] - np.interp(last_s, at_s, way))) / LOOK_S
-    largest = float(rate.max(initial=0.0))
-    still_moves = left > min(_STOPPED * largest, _OBEYS * held)
-    # A robot at rest throughout does not stop.
-    least = max(_OBEYS * held * _SILENCE_S, _ABOVE_NOISE * float(np.ptp(way[at_s >= last_s])))
-    if not largest or still_moves or float(np.abs(way).max()) <= least:
-        return None
-    stop_s = float(rate_s[np.flatnonzero(rate > 0.5 * largest)[-1]])
-    return SilentStop(begin_s=begin_s, stop_s=stop_s, end_s=end_s)
+def _sample(motion: AxisMotion) -> Values:
+    """Return held commands at equal times, from the first nonzero one to the end of the last."""
+    time_s, value = motion.commands.time_s, motion.commands.value
+    moving = np.flatnonzero(value)
+    ends_s = np.append(time_s[1:], motion.time_s[-1])
+    begin_s, end_s = float(time_s[moving[0]]), float(ends_s[moving[-1]])
+    at_s = np.arange(begin_s, min(end_s, begin_s + _MOST_S), _SAMPLE_S)
+    return np.asarray(value[np.searchsorted(time_s, at_s, side="right") - 1])
+
+
+def _correlate(commands: Sequence[Values], mean: float, lag: int) -> float:
+    pairs = [(one[lag:] - mean, one[:-lag] - mean) for one in commands if len(one) > lag]
+    along = sum(float(one @ other) for one, other in pairs)
+    sizes = [sum(float(pair[row] @ pair[row]) for pair in pairs) for row in (0, 1)]
+    size = float(np.sqrt(sizes[0] * sizes[1]))
+    return along / size if size > 0.0 else 0.0
 
 
 # The rates of a robot's model for recorded commands, beside the robot's own rates.

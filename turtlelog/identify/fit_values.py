@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.display import join_words
-from turtlelog.identify import axis_fit
+from turtlelog.identify import axis_fit, axis_motion
 from turtlelog.identify.axis_fit import DEAD_TIME, EXTRA, GAIN, LAG, NORMAL_95, TOTAL, AxisFit
-from turtlelog.identify.axis_motion import NAMES, OTHER, UNITS, Axis, read_axis_motion
+from turtlelog.identify.axis_motion import NAMES, OTHER, UNITS, Axis, AxisMotion
 from turtlelog.identify.held_response import Structure
 from turtlelog.identify.robot_model import FURTHER, ORDERS, AxisModel, Estimate
 from turtlelog.identify.robot_noise import LEAST_STEP
@@ -240,7 +240,8 @@ def cover_waiting(runs: Sequence[Run], found: AxisModel, other: AxisModel) -> Ax
     is_slower = delay is not None and (other_delay is None or delay.low > other_delay.high)
     if not is_slower or found.limit_acts == "at_wheels":
         return found
-    joint = np.concatenate([read_axis_motion(run, found.axis).joint for run in runs])
+    motions = [axis_motion.read_axis_motion(run, found.axis) for run in runs]
+    joint = np.concatenate([find_joint_changes(motion) for motion in motions])
     if np.mean(joint) < _JOINTLY:
         return found
     covered = found
@@ -253,6 +254,16 @@ def cover_waiting(runs: Sequence[Run], found: AxisModel, other: AxisModel) -> Ax
         f" delay.{'' if other.is_known else _UNCOVERED.format(beside)}"
     )
     return replace(covered, doubts=(*found.doubts, doubt))
+
+
+def find_joint_changes(motion: AxisMotion) -> NDArray[np.bool_]:
+    """Return whether each change of the command comes together with one of the other axis."""
+    changes_s = motion.commands.time_s[1:]
+    others_s = np.empty(0) if motion.beside is None else motion.beside.time_s[1:]
+    first = np.searchsorted(others_s, changes_s - axis_motion.AT_ONCE_S)
+    return np.asarray(
+        first < np.searchsorted(others_s, changes_s + axis_motion.AT_ONCE_S, side="right")
+    )
 
 
 def describe_rivals(structures: Sequence[Structure]) -> str:
@@ -327,7 +338,8 @@ def find_differing_parts(axis: Axis, fit: AxisFit) -> dict[str, list[tuple[str, 
     if fit.whitening.noise.rounded > _ROUNDED:
         return {}
     apart = _LIKELY if _measure_curve(fit)[0] > _CURVE else _APART
-    found = {pair: [*_compare_parts(fit, part, apart)] for pair, part in _split_steps(axis, fit)}
+    pairs = axis_motion.divide_steps(fit.model.motions, axis, float(fit.parameters[DEAD_TIME]))
+    found = {pair: [*_compare_parts(fit, part, apart)] for pair, part in pairs}
     return {pair: values for pair, values in found.items() if values}
 
 
@@ -352,26 +364,6 @@ def _measure_curve(fit: AxisFit) -> tuple[float, float]:
     turns = -excess[0] if -float(along[0]) / size > _IN_TURNS else 0.0
     total = sum(one for one, _ in sums)
     return float(max(turns, *excess)), float(np.sqrt(max(1.0 + 2.0 * total / size, 1.0)))
-
-
-def _split_steps(axis: Axis, fit: AxisFit) -> Iterator[tuple[str, NDArray[np.bool_]]]:
-    """Yield divisions of the steps by one criterion: whether the first of two commands acts."""
-    dead_time_s = float(fit.parameters[DEAD_TIME])
-    acting, before, beside = [], [], []
-    for motion in fit.model.motions:
-        end_s = motion.time_s[motion.first + 1] - dead_time_s
-        held = motion.commands.place(end_s).held
-        acting.append(motion.commands.value[held])
-        before.append(motion.commands.value[np.maximum(held - 1, 0)])
-        other = motion.beside
-        beside.append(0.0 * end_s if other is None else other.value[other.place(end_s).held])
-    value, earlier = np.concatenate(acting), np.concatenate(before)
-    change = np.abs(value - earlier)
-    yield "small and large commands", change <= float(np.median(change))
-    yield "positive and negative commands", value + earlier > 0.0
-    yield "rising and falling commands", np.abs(value) > np.abs(earlier)
-    yield "earlier and later commands", np.arange(len(value)) < len(value) // 2
-    yield f"commands with and without a {NAMES[OTHER[axis]]}", np.concatenate(beside) != 0.0
 
 
 def _compare_parts(

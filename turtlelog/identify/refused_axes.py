@@ -1,6 +1,6 @@
 """Causes why commands and motion do not identify an axis, advice, and what a log leaves open."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final
 
@@ -13,15 +13,21 @@ from turtlelog.identify.axis_motion import (
     LARGEST_DEAD_TIME_S,
     NAMES,
     OTHER,
+    OVER_TIME,
     STANDING,
     UNITS,
     Axis,
     AxisMotion,
+    find_repetition,
     find_rests,
     get_commands,
     read_axis_motion,
 )
-from turtlelog.identify.fit_values import cover_waiting, describe_fit, find_differing_parts
+from turtlelog.identify.fit_values import (
+    cover_waiting,
+    describe_fit,
+    find_differing_parts,
+)
 from turtlelog.identify.held_response import COUPLED, Values
 from turtlelog.identify.robot_model import AxisModel, Estimate, Refusal
 from turtlelog.identify.robot_noise import RESTED_S
@@ -121,6 +127,7 @@ _EARLY: Final = (
     "no delay fits best, and the intervals are wide: the motion may lead the commands, or noise"
     " hides the delay"
 )
+_UNDISTURBED: Final = ", while no emergency stop and no other program acts"
 _ONE_CLOCK: Final = ", and record commands without delay, by the clock of the poses"
 
 
@@ -248,10 +255,17 @@ def _doubt_fit(found: AxisModel, fit: AxisFit) -> AxisModel | None:
         return replace(refused, reason=_EARLY, advice=f"{refused.advice}{_ONE_CLOCK}")
     if not (refused and found.doubts) or _refuse_wide(describe_fit(found.axis, fit, 0), fine_s):
         return refused
-    differing = find_differing_parts(found.axis, fit)
+    return _refuse_differing(refused, find_differing_parts(found.axis, fit))
+
+
+def _refuse_differing(refused: AxisModel, differing: Collection[str]) -> AxisModel:
+    """Return an axis without values with the parts of the motion that differ as the reason."""
+    if not differing:
+        return refused
     told = f", as the response differs between {', and between '.join(differing)}"
-    # No model has such a response, so that no drive would show its values.
-    return replace(refused, reason=f"{refused.reason}{told}", advice="") if differing else refused
+    # No model has such a response, so that no drive shows its values, unless it was disturbed.
+    advice = f"{refused.advice}{_UNDISTURBED}" if OVER_TIME in differing else ""
+    return replace(refused, reason=f"{refused.reason}{told}", advice=advice)
 
 
 def _refuse_wide(found: AxisModel, fine_s: float = 0.0, *, drive: str = "") -> AxisModel | None:
@@ -273,17 +287,6 @@ def _is_wide(value: Estimate, fine: float = 0.0) -> bool:
     return value.high - value.low > max(value.value, fine)
 
 
-_SAMPLE_S: Final = 0.01  # sampling time for the comparison of commands with earlier ones [s]
-_MOST_S: Final = 120.0  # length of each run that is compared [s]
-
-_ALIKE: Final = 0.8
-"""Correlation from which commands repeat: a switch that is 5 % of a period early or late reduces
-the correlation to this value. The motion decides whether another delay explains as much."""
-
-_DIPS: Final = 0.5
-"""Correlation below which commands must fall before they count as repeated, because slow commands
-resemble the commands shortly before."""
-
 _DIFFERS: Final = 0.25
 """Smallest difference of two models in a decisive step, as a share of the largest step."""
 
@@ -291,30 +294,6 @@ _FEWEST: Final = 3  # smallest number of decisive steps; fewer steps may be jump
 
 _BETTER: Final = 0.5
 """Largest error of the right model in these steps, as a share of the other model's error."""
-
-
-def find_repetition(motions: Sequence[AxisMotion]) -> tuple[float, int] | None:
-    """Return the time after which commands repeat [s], and their sign; None if they do not repeat.
-
-    Only times up to the largest dead time count, because a later repetition causes no ambiguity.
-    """
-    moving = [motion for motion in motions if len(motion.moved) and motion.commands.value.any()]
-    commands = [_sample(motion) for motion in moving]
-    if not any(map(len, commands)):
-        return None
-    mean = float(np.concatenate(commands).mean())
-    lags = np.arange(1, round(LARGEST_DEAD_TIME_S / _SAMPLE_S) + 1)
-    plain = np.array([_correlate(commands, 0.0, lag) for lag in lags.tolist()])
-    centred = np.array([_correlate(commands, mean, lag) for lag in lags.tolist()])
-    has_dipped = np.maximum.accumulate(centred < _DIPS)
-    # Mean values of opposite sign go the other way.
-    for alike, sign in ((-plain, -1), (np.where(has_dipped, centred, 0.0), 1)):
-        if alike.max() >= _ALIKE:
-            begin = int(np.argmax(alike >= _ALIKE))
-            length = int(np.argmin(np.append(alike[begin:], -1.0) >= _ALIKE))
-            best = begin + int(np.argmax(alike[begin : begin + length]))
-            return float(lags[best]) * _SAMPLE_S, sign
-    return None
 
 
 def _refuse_twin(
@@ -337,24 +316,6 @@ def _refuse_twin(
         own, other = (gain, dead_time_s), (its_sign * gain, other_s)
         return refuse_axis(axis, "repeated", how=how, own=own, other=other)
     return None
-
-
-def _sample(motion: AxisMotion) -> Values:
-    """Return held commands at equal times, from the first nonzero one to the end of the last."""
-    time_s, value = motion.commands.time_s, motion.commands.value
-    moving = np.flatnonzero(value)
-    ends_s = np.append(time_s[1:], motion.time_s[-1])
-    begin_s, end_s = float(time_s[moving[0]]), float(ends_s[moving[-1]])
-    at_s = np.arange(begin_s, min(end_s, begin_s + _MOST_S), _SAMPLE_S)
-    return np.asarray(value[np.searchsorted(time_s, at_s, side="right") - 1])
-
-
-def _correlate(commands: Sequence[Values], mean: float, lag: int) -> float:
-    pairs = [(one[lag:] - mean, one[:-lag] - mean) for one in commands if len(one) > lag]
-    along = sum(float(one @ other) for one, other in pairs)
-    sizes = [sum(float(pair[row] @ pair[row]) for pair in pairs) for row in (0, 1)]
-    size = float(np.sqrt(sizes[0] * sizes[1]))
-    return along / size if size > 0.0 else 0.0
 
 
 def _compare(fit: AxisFit, twin: Values) -> float | None:

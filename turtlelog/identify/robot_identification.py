@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 from turtlelog.display import describe_count
 from turtlelog.errors import IdentifyError, ReplayError
 from turtlelog.identify import refused_axes
-from turtlelog.identify.axis_fit import NORMAL_95, AxisFit, NoGainError, fit_axis
+from turtlelog.identify.axis_fit import NORMAL_95, AxisFit, NoGainError, count_steps, fit_axis
 from turtlelog.identify.axis_motion import (
     AXES,
     MEMORY_S,
     NAMES,
     Axis,
     AxisMotion,
-    count_steps,
+    find_repetition,
     get_commands,
     read_axis_motion,
 )
@@ -187,7 +187,12 @@ def _list_events(names: Sequence[str], axis: Axis, fit: AxisFit) -> list[RobotEv
             size = float(fit.residual[begin + step])
             if abs(size) < least:
                 continue
-            events.append(RobotEvent(file=name, axis=axis, time_s=time_s, size=size))
+            what, unit = ("way", "m") if axis == "speed" else ("turn", "rad")
+            told = (
+                f"{name}: the {what} from the pose before to the one at {time_s:.3f} s is off by"
+                f" {size:.3g} {unit}"
+            )
+            events.append(RobotEvent(file=name, axis=axis, time_s=time_s, size=size, text=told))
         begin = end
     return events
 
@@ -261,7 +266,7 @@ def find_correlation_delay(motions: Sequence[AxisMotion]) -> tuple[Estimate | No
             "the log is too short for a correlation of commands and motion, which needs"
             f" {_FEWEST_PARTS * _PART_S:g} s of motion"
         )
-    if repetition := refused_axes.find_repetition(motions):
+    if repetition := find_repetition(motions):
         shift_s, sign = repetition
         # Commands that repeat with opposite sign repeat equally after twice that time.
         period_s = shift_s if sign > 0 else 2.0 * shift_s

@@ -8,7 +8,7 @@ from typing import Any, Final, Literal, SupportsFloat
 
 from turtlelog.display import NULL_IF_EMPTY, fit_line, format_html, format_notebook, join_words
 from turtlelog.errors import IdentifyError
-from turtlelog.identify.axis_motion import NAMES, UNITS, Axis
+from turtlelog.identify.axis_motion import NAMES, Axis
 from turtlelog.identify.held_response import Bound, Order, Structure
 from turtlelog.run import Clock
 from turtlelog.theory.process import Process, build_delayed
@@ -204,10 +204,7 @@ class AxisModel:
     @property
     def advised_delay_s(self) -> float | None:
         """Total delay for the design of a controller [s]; if in doubt, the longest delay."""
-        total = self.total_delay_s
-        if total is None:
-            return None
-        return total.high if self.doubts else total.value
+        return self._take_advised(self.total_delay_s)
 
     @property
     def oscillation_delay_s(self) -> float:
@@ -232,10 +229,10 @@ class AxisModel:
         """Gain of negative commands for the design of a controller, if it differs [1]."""
         return self._take_advised(self.reverse_gain)
 
-    def _take_advised(self, gain: Estimate | None) -> float | None:
-        if gain is None:
+    def _take_advised(self, found: Estimate | None) -> float | None:
+        if found is None:
             return None
-        return gain.high if self.doubts else gain.value
+        return found.high if self.doubts else found.value
 
     @property
     def structure(self) -> Structure:
@@ -328,16 +325,7 @@ class RobotEvent:
     axis: Axis
     time_s: float
     size: float
-    text: str = field(init=False)
-
-    def __post_init__(self) -> None:
-        unit = UNITS[self.axis].removesuffix("/s")
-        what = "way" if self.axis == "speed" else "turn"
-        told = (
-            f"{self.file}: the {what} from the pose before to the one at {self.time_s:.3f} s is off"
-            f" by {self.size:.3g} {unit}"
-        )
-        object.__setattr__(self, "text", told)
+    text: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,4 +1,8 @@
-"""The response of a loop to its reference, in the segment of the run in which the loop acts."""
+"""The response of a loop to its reference, in the segment of the run in which the loop acts.
+
+Also the response of a robot to the end of its commands. Many bases stop some tenths of a second
+after the last command if no 0 is sent.
+"""
 
 import math
 from collections.abc import Mapping
@@ -367,3 +371,94 @@ def _find_step(
 def compute_hold_times(time_s: Values, end_s: float) -> Values:
     """Return the hold time of each value [s], shape (n,)."""
     return np.diff(time_s, append=max(end_s, float(time_s[-1])))
+
+
+_WATCHDOG_S, SILENCE_S = 0.5, 0.4
+"""Shortest time for which mobile bases wait before they stop by themselves [s], and the same with
+an allowance for jitter."""
+
+LOOK_S: Final = 0.3
+"""Time for which a robot must be at rest before the end of a silence or a first command [s]."""
+
+_JOINED_S: Final = 0.1
+"""Time over which rates are averaged [s]; otherwise noise of poses would hide the time of a
+stop."""
+
+_STOPPED: Final = 0.1  # share of the largest rate in a silence below which the robot is at rest
+
+_OBEYS: Final = 0.25
+"""Share of the held command from which a robot still follows it: gains are at least 0.5. Before a
+small command, the robot may have been ten times as fast."""
+
+_ABOVE_NOISE: Final = 3.0
+"""Smallest motion in a silence, as a multiple of the scatter of the poses at its end: noise of
+1,000 poses spreads 2.5 times as far as noise of six."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SilentStop:
+    """A stop of the robot without a command.
+
+    Attributes:
+        begin_s: Time of the last command [s].
+        stop_s: Time at which the rate has dropped to half [s].
+        end_s: Time of the next command, or of the last pose [s]; later for an unseen stop.
+        is_seen: Whether the poses show the rest; else other silences do.
+    """
+
+    begin_s: float
+    stop_s: float
+    end_s: float
+    is_seen: bool = True
+
+
+def find_silent_stops(
+    command_s: Values, command: Values, time_s: Values, moved: Values
+) -> list[SilentStop]:
+    """Return the silences after a nonzero command in which a robot stops, or may stop.
+
+    `time_s` are the times of the poses [s], shape (n + 1,), `moved` the steps between them, (n,).
+    """
+    if not len(command) or not len(moved):
+        return []
+    ends_s = np.append(command_s[1:], time_s[-1])
+    silent = np.flatnonzero((ends_s - command_s > SILENCE_S) & (command != 0.0))
+    rows = np.column_stack([command_s, ends_s, np.abs(command)])[silent].tolist()
+    long = [row for row in rows if row[1] - row[0] > SILENCE_S + LOOK_S]
+    looks = (_look_at_silence(row[0], row[1], row[2], time_s, moved) for row in long)
+    seen = [stop for stop in looks if stop is not None]
+    if not seen:
+        return []
+    known, wait_s = {one.begin_s for one in seen}, min(one.stop_s - one.begin_s for one in seen)
+    for begin_s, end_s, _ in rows:
+        # The robot may also stop in silences that are too short to show its rest.
+        is_near = -LOOK_S <= end_s - begin_s - wait_s <= LOOK_S + SILENCE_S
+        if begin_s not in known and is_near and end_s - begin_s > _WATCHDOG_S:
+            stop_s, until_s = min(begin_s + wait_s, end_s - 1e-9), end_s + LOOK_S
+            seen.append(SilentStop(begin_s=begin_s, stop_s=stop_s, end_s=until_s, is_seen=False))
+    return sorted(seen, key=lambda stop: stop.begin_s)
+
+
+def _look_at_silence(
+    begin_s: float, end_s: float, held: float, time_s: Values, moved: Values
+) -> SilentStop | None:
+    first, after = np.searchsorted(time_s, [begin_s, end_s])
+    way = np.concatenate([[0.0], np.cumsum(moved[first : after - 1])])
+    at_s = time_s[first:after]
+    last_s = at_s[-1] - LOOK_S if len(at_s) else begin_s
+    if len(at_s) < 4 or last_s <= begin_s:
+        return None
+    before = np.interp(at_s - _JOINED_S, at_s, way)
+    is_whole = at_s >= at_s[0] + _JOINED_S
+    rate = np.abs(way - before)[is_whole] / _JOINED_S
+    rate_s = at_s[is_whole] - 0.5 * _JOINED_S
+    # The mean, because at a slow command noise of poses looks like motion.
+    left = abs(float(way[-1] - np.interp(last_s, at_s, way))) / LOOK_S
+    largest = float(rate.max(initial=0.0))
+    still_moves = left > min(_STOPPED * largest, _OBEYS * held)
+    # A robot at rest throughout does not stop.
+    least = max(_OBEYS * held * SILENCE_S, _ABOVE_NOISE * float(np.ptp(way[at_s >= last_s])))
+    if not largest or still_moves or float(np.abs(way).max()) <= least:
+        return None
+    stop_s = float(rate_s[np.flatnonzero(rate > 0.5 * largest)[-1]])
+    return SilentStop(begin_s=begin_s, stop_s=stop_s, end_s=end_s)
