@@ -9,16 +9,13 @@ from .engine.topic_columns import (
     iter_columns as iter_columns,
     read_columns as read_columns,
 )
-from .engine.walk import (
-    Loss as Loss,
-)
 from .exported_tables import (
     export_csv as export_csv,
     export_parquet as export_parquet,
     holds_tables as holds_tables,
     import_tables as import_tables,
 )
-from .file_access import replace_when_complete as replace_when_complete
+from .file_access import Loss as Loss, replace_when_complete as replace_when_complete
 from .file_info import (
     RecordingInfo as RecordingInfo,
     TopicInfo as TopicInfo,

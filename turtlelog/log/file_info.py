@@ -22,8 +22,8 @@ from turtlelog.log.engine.limits import Allowance, measure_stored
 from turtlelog.log.engine.opening import open_storage, strip_suffixes
 from turtlelog.log.engine.source import Source
 from turtlelog.log.engine.sqlite_source import SqliteSource
-from turtlelog.log.engine.walk import Loss, Section
-from turtlelog.log.file_access import DamageError, UnfinishedError
+from turtlelog.log.engine.walk import Section
+from turtlelog.log.file_access import DamageError, Loss, UnfinishedError
 from turtlelog.log.recording.head import (
     HEAD,
     add_lost,

@@ -415,3 +415,28 @@ def lay_out_alike(fields: tuple[Field, ...], columns: Mapping[str, Column]) -> A
         return AlikeLayout(fields, columns)
     except _UnlikeError:
         return None
+
+
+@dataclass(frozen=True, slots=True)
+class PackedItems:
+    """Items of a sequence, encoded one after another from a multiple of 8 bytes on."""
+
+    count: int
+    data: bytes
+
+
+def fit_numbers(name: str, values: Column, kind: str) -> Column:
+    """Return numbers of a kind. Integers must fit; floats beyond 32 bits become inf."""
+    target, is_whole = np.dtype(kind), values.dtype.kind in "iub"
+    if not is_whole and (values.dtype.kind != "f" or target.kind != "f"):
+        expected = "numbers" if target.kind == "f" else "whole numbers"
+        raise LogError(f"{name}: expected {expected}, found {values.dtype}")
+    if target.kind != "f" and values.size:
+        limits = np.iinfo(target)
+        for value in (int(values.min()), int(values.max())):
+            if not limits.min <= value <= limits.max:
+                raise LogError(
+                    f"{name}: expected values from {limits.min} to {limits.max}, found {value}"
+                )
+    with np.errstate(over="ignore"):
+        return values.astype(target, copy=False)

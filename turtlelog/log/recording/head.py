@@ -15,8 +15,7 @@ from turtlelog.display import describe_count, parse_utc
 from turtlelog.errors import LogError, RunError, ScenarioError
 from turtlelog.files.text_files import format_toml, parse_known_toml
 from turtlelog.libraries import __version__
-from turtlelog.log.engine.walk import Loss
-from turtlelog.log.file_access import name_place
+from turtlelog.log.file_access import Loss, name_place
 from turtlelog.run import Clock, Lost, Origin
 from turtlelog.run.loops import Declaration, format_declaration, parse_declaration
 from turtlelog.scenario import DEFAULT_LAW, nest_parameters

@@ -19,11 +19,12 @@ from mcap.opcode import Opcode
 
 from turtlelog.errors import LogError
 from turtlelog.files.urls import RemotePath, make_path
-from turtlelog.log.engine.cdr import CODES, ENCAPSULATION, FRONT, encode_message
+from turtlelog.log.engine.blocks import ChunkRows
+from turtlelog.log.engine.cdr import CODES, ENCAPSULATION, encode_message
 from turtlelog.log.engine.message_types import read_type
-from turtlelog.log.engine.records import RECORD
+from turtlelog.log.engine.records import FRONT, RECORD
 from turtlelog.log.file_access import mark_live, name_write_error
-from turtlelog.log.mcap_writer import ChunkRows, McapFile
+from turtlelog.log.mcap_writer import McapFile
 from turtlelog.log.recording import topics
 from turtlelog.log.recording.head import FORMAT_VERSION, HEAD, SCENARIO_FILE, Head, format_head
 from turtlelog.log.recording.run_writer import describe_pose, tabulate_event

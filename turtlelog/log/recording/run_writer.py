@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.files.urls import make_path
-from turtlelog.log.engine.cdr import PackedItems
-from turtlelog.log.engine.message_types import Column, lay_out_alike, read_type
+from turtlelog.log.engine.message_types import Column, PackedItems, lay_out_alike, read_type
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.file_access import create_folder, name_write_error
 from turtlelog.log.file_info import METADATA_FILE, describe_bag

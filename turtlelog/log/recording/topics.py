@@ -27,8 +27,7 @@ from turtlelog.log.engine.limits import Allowance, measure_stored
 from turtlelog.log.engine.message_types import read_type
 from turtlelog.log.engine.source import Source, salvage_summary
 from turtlelog.log.engine.topic_columns import TopicColumns, build_columns, collect_parts
-from turtlelog.log.engine.walk import Loss
-from turtlelog.log.file_access import DamageError
+from turtlelog.log.file_access import DamageError, Loss
 from turtlelog.log.recording.head import HEAD, Head, describe_recovery, parse_head
 from turtlelog.run import Lost
 from turtlelog.run.loops import Declaration
