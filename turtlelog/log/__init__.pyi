@@ -51,13 +51,13 @@ from .read_choice import (
     list_notes_after as list_notes_after,
     split_topic as split_topic,
 )
+from .recording.head import PartialRecordingWarning as PartialRecordingWarning
 from .recording.reader import RecordingTail as RecordingTail, read_recording as read_recording
 from .recording.recorder import Recorder as Recorder
 from .recording.run_writer import (
     export_rosbag2 as export_rosbag2,
     write_recording as write_recording,
 )
-from .recording.topics import PartialRecordingWarning as PartialRecordingWarning
 from .recovery import (
     RecoveryReport as RecoveryReport,
     recover_recording as recover_recording,

@@ -366,3 +366,8 @@ else:
         except OSError:
             return False
         return False
+
+
+def create_file(path: Path) -> BinaryIO:
+    """Create a new file and return it unbuffered."""
+    return path.open("xb", buffering=0)

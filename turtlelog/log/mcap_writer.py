@@ -70,6 +70,10 @@ _AHEAD: Final = 2 * _THREADS
 CHUNK_BYTES: Final = 2**20
 """Largest chunk in a file that is written at once, without schemas and channels [bytes]."""
 
+
+LIVE_CHUNK_BYTES: Final = 2**16
+"""Approximate chunk size in a live recording [bytes]."""
+
 _FOOTER_FRONT: Final = 25  # bytes of the footer that its checksum covers
 
 
