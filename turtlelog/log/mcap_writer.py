@@ -37,11 +37,10 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.libraries import __version__
-from turtlelog.log.engine.blocks import ChannelRecords, ChunkRows
+from turtlelog.log.engine.blocks import ChannelRecords, ChunkRows, fit_numbers
 from turtlelog.log.engine.cdr import encode_alike, encode_fixed, encode_varied
 from turtlelog.log.engine.message_types import (
     Field,
-    fit_numbers,
     lay_out_alike,
     name_parts,
     read_type,

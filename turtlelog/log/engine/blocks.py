@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from turtlelog.errors import LogError, describe_error
 from turtlelog.log.engine import limits, records
 from turtlelog.log.engine.channels import Catalogue
+from turtlelog.log.engine.message_types import Column
 from turtlelog.log.engine.records import RECORD, Place, parse_record
 from turtlelog.log.engine.walk import CHUNK_HEAD, Section, walk_sections
 from turtlelog.log.file_access import DamageError, LimitError, Loss, check_start
@@ -103,6 +104,23 @@ class ChannelRecords:
     data: NDArray[np.uint8]
     sizes: Offsets
     ends: Offsets
+
+
+def fit_numbers(name: str, values: Column, kind: str) -> Column:
+    """Return numbers of a kind. Integers must fit; floats beyond 32 bits become inf."""
+    target, is_whole = np.dtype(kind), values.dtype.kind in "iub"
+    if not is_whole and (values.dtype.kind != "f" or target.kind != "f"):
+        expected = "numbers" if target.kind == "f" else "whole numbers"
+        raise LogError(f"{name}: expected {expected}, found {values.dtype}")
+    if target.kind != "f" and values.size:
+        limits = np.iinfo(target)
+        for value in (int(values.min()), int(values.max())):
+            if not limits.min <= value <= limits.max:
+                raise LogError(
+                    f"{name}: expected values from {limits.min} to {limits.max}, found {value}"
+                )
+    with np.errstate(over="ignore"):
+        return values.astype(target, copy=False)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

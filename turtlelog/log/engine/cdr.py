@@ -9,7 +9,7 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.blocks import Offsets
+from turtlelog.log.engine.blocks import Offsets, fit_numbers
 from turtlelog.log.engine.message_types import (
     LITTLE_ENDIAN,
     MESSAGE,
@@ -19,7 +19,6 @@ from turtlelog.log.engine.message_types import (
     Field,
     Layout,
     PackedItems,
-    fit_numbers,
     name_parts,
 )
 from turtlelog.log.engine.records import FRONT, RECORD, gather_bytes

@@ -43,6 +43,16 @@ MOST_DESCRIBED: Final = 2**17
 LONGEST_DESCRIBED: Final = 2**24
 """Largest size of a schema or channel [bytes]; a text with all its types takes 100 kB."""
 
+
+LONGEST_MESSAGE: Final = 2**24
+"""Largest size of a message [bytes]. Decoded objects may take thirty times as much memory."""
+
+MOST_PARTS: Final = 2**18
+"""Largest number of objects, references and choices that are read in a schema.
+
+References to objects with references multiply, even without fields. Reading this number of parts
+takes 0.5 s; a text of 1 MB has fewer objects."""
+
 # A writer closes a chunk after the message that fills it, so one of 64 MiB is one message longer.
 # Chunks should be much smaller than their file; a large file may have one eight times as large.
 _CHUNK: Final = 80 * 2**20

@@ -1,5 +1,6 @@
 """Parsing of `ros2msg` schemas: the fields of a type, and its layout if its size is fixed."""
 
+import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -267,6 +268,14 @@ def shorten_type(name: str, package: str = "") -> str:
     return f"{before[-1] if before else package}/{last}"
 
 
+def widen_number(value: float) -> float:
+    """Return a number in double precision; one that is too large is infinite."""
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf if value > 0 else -math.inf
+
+
 def name_parts(field: Field) -> Iterator[str]:
     """Yield the parts of dotted names for a nested message: one part, or one per array element."""
     if field.length is None:
@@ -423,20 +432,3 @@ class PackedItems:
 
     count: int
     data: bytes
-
-
-def fit_numbers(name: str, values: Column, kind: str) -> Column:
-    """Return numbers of a kind. Integers must fit; floats beyond 32 bits become inf."""
-    target, is_whole = np.dtype(kind), values.dtype.kind in "iub"
-    if not is_whole and (values.dtype.kind != "f" or target.kind != "f"):
-        expected = "numbers" if target.kind == "f" else "whole numbers"
-        raise LogError(f"{name}: expected {expected}, found {values.dtype}")
-    if target.kind != "f" and values.size:
-        limits = np.iinfo(target)
-        for value in (int(values.min()), int(values.max())):
-            if not limits.min <= value <= limits.max:
-                raise LogError(
-                    f"{name}: expected values from {limits.min} to {limits.max}, found {value}"
-                )
-    with np.errstate(over="ignore"):
-        return values.astype(target, copy=False)
