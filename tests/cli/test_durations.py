@@ -127,7 +127,7 @@ def test_poses_that_cannot_be_read_are_absent(call: Call, tmp_path: Path) -> Non
 def test_a_part_of_a_recording_lacks_what_is_lost(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(recorder, "CHUNK_BYTES", 2**13)
+    monkeypatch.setattr(recorder, "LIVE_CHUNK_BYTES", 2**13)
     path, scenario = tmp_path / "cut.mcap", tl.load_scenario("paper-kp4")
     with recorder.Recorder(path, scenario) as recording:
         run_live(scenario, [recording], realtime=False)

@@ -1,10 +1,12 @@
 """The sentence that `info` begins with, and what it says of clocks and of what is missing."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+from mcap.writer import Writer
 
 import turtlelog as tl
 from tests.cli.conftest import Call
@@ -335,3 +337,32 @@ def test_the_software_of_a_simulation_is_listed_with_its_scenario(
     assert "simulated by" not in call("info", kp4).out
     tl.write_recording(replace(tl.read_recording(kp4), simulated_by={}), tmp_path / "a.mcap")
     assert "simulated by" not in call("info", tmp_path / "a.mcap", "--parameters").out
+
+
+def test_topics_of_places_that_are_no_poses_are_listed_with_the_reason(
+    call: Call, tmp_path: Path
+) -> None:
+    number = {"type": "number"}
+    of_pose = dict.fromkeys(("x", "y", "theta"), number)
+    kinds = {
+        "/gps": ("foxglove.LocationFix", {"latitude": number}),
+        "/gazebo/model_states": ("gazebo_msgs/msg/ModelStates", {"count": number}),
+        "/place": ("mine", of_pose),
+    }
+    for chosen in (["/gps", "/gazebo/model_states"], ["/gps", "/place"]):
+        file = tmp_path / "a.mcap"
+        with file.open("wb") as stream:
+            writer = Writer(stream)
+            writer.start("", "test")
+            for topic in chosen:
+                kind, fields = kinds[topic]
+                text = json.dumps({"type": "object", "properties": fields}).encode()
+                schema = writer.register_schema(kind, "jsonschema", text)
+                channel = writer.register_channel(topic, "json", schema)
+                writer.add_message(channel, 10, json.dumps(dict.fromkeys(fields, 1.0)).encode(), 10)
+            writer.finish()  # type: ignore[no-untyped-call]
+        told = call("info", file).flat
+        assert "/gps (foxglove.LocationFix): latitude and longitude, which are read" in told
+        models = "/gazebo/model_states (gazebo_msgs/msg/ModelStates): poses of several models"
+        assert (models in told) == ("/gazebo/model_states" in chosen)
+        assert ("poses /place" in told) == ("/place" in chosen)

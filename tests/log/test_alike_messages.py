@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from turtlelog.log.engine.cdr import FRONT, PackedItems, encode_message
-from turtlelog.log.engine.message_types import lay_out_alike, read_type
+from turtlelog.log.engine.cdr import encode_message
+from turtlelog.log.engine.message_types import PackedItems, lay_out_alike, read_type
+from turtlelog.log.engine.records import FRONT
 from turtlelog.log.recording.topics import SCHEMAS
 
 

@@ -11,13 +11,13 @@ from pyarrow import parquet
 
 from tests.log.runs import simulate_short_run
 from turtlelog.errors import LogError
+from turtlelog.log.engine.limits import MOST_ROWS
 from turtlelog.log.exported_tables import (
     export_csv,
     export_parquet,
     import_tables,
     require_read_back,
 )
-from turtlelog.log.parquet_file import MOST_ROWS
 from turtlelog.run import Event, PoseColumns, Run
 
 FLOATS = st.floats(allow_nan=False, allow_infinity=False)

@@ -22,7 +22,8 @@ from tests.torture.outcomes import describe
 from tests.torture.recordings import COMPRESSIONS, list_records, make_recording, pack_again
 from turtlelog.errors import LogError
 from turtlelog.log import read_columns, read_info, read_recording
-from turtlelog.log.engine.walk import Loss, Section, walk_sections
+from turtlelog.log.engine.walk import Section, walk_sections
+from turtlelog.log.file_access import Loss
 from turtlelog.log.recovery import recover_recording
 
 

@@ -14,7 +14,8 @@ import pytest
 import turtlelog as tl
 from turtlelog.errors import LogError
 from turtlelog.log import parquet_file
-from turtlelog.log.parquet_file import MOST_ROWS, ParquetFile
+from turtlelog.log.engine.limits import MOST_ROWS
+from turtlelog.log.parquet_file import ParquetFile
 from turtlelog.sweep.result_table import (
     ResultColumn,
     ResultTable,

@@ -9,16 +9,13 @@ from .engine.topic_columns import (
     iter_columns as iter_columns,
     read_columns as read_columns,
 )
-from .engine.walk import (
-    Loss as Loss,
-)
 from .exported_tables import (
     export_csv as export_csv,
     export_parquet as export_parquet,
     holds_tables as holds_tables,
     import_tables as import_tables,
 )
-from .file_access import replace_when_complete as replace_when_complete
+from .file_access import Loss as Loss, replace_when_complete as replace_when_complete
 from .file_info import (
     RecordingInfo as RecordingInfo,
     TopicInfo as TopicInfo,
@@ -54,13 +51,13 @@ from .read_choice import (
     list_notes_after as list_notes_after,
     split_topic as split_topic,
 )
+from .recording.head import PartialRecordingWarning as PartialRecordingWarning
 from .recording.reader import RecordingTail as RecordingTail, read_recording as read_recording
 from .recording.recorder import Recorder as Recorder
 from .recording.run_writer import (
     export_rosbag2 as export_rosbag2,
     write_recording as write_recording,
 )
-from .recording.topics import PartialRecordingWarning as PartialRecordingWarning
 from .recovery import (
     RecoveryReport as RecoveryReport,
     recover_recording as recover_recording,

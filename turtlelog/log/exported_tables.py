@@ -17,6 +17,7 @@ from turtlelog.escapes import guard_cell
 from turtlelog.files.text_files import describe_csv_error
 from turtlelog.files.urls import make_path
 from turtlelog.libraries import load_library
+from turtlelog.log.engine.limits import MOST_ROWS, count_most_rows, describe_rows
 from turtlelog.log.file_access import (
     create_folder,
     name_file,
@@ -25,10 +26,7 @@ from turtlelog.log.file_access import (
     replace_when_complete,
 )
 from turtlelog.log.parquet_file import (
-    MOST_ROWS,
     ParquetFile,
-    count_most_rows,
-    describe_rows,
     list_cells,
 )
 from turtlelog.log.table_files import (

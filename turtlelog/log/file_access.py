@@ -5,6 +5,7 @@ import stat
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from io import UnsupportedOperation
 from pathlib import Path
 from typing import BinaryIO, Final
@@ -29,6 +30,21 @@ class LimitError(DamageError):
 
 class UnfinishedError(DamageError):
     """An unfinished or truncated file."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Loss:
+    """A segment of a file that could not be read.
+
+    Attributes:
+        start: Offset of the first byte in the file.
+        end: Offset after the last byte; equal to `start` if bytes are missing there.
+        reason: Expected and found content, in one clause.
+    """
+
+    start: int
+    end: int
+    reason: str
 
 
 @contextmanager
@@ -86,6 +102,24 @@ def open_file(path: str | Path) -> BinaryIO:
         stream.close()
         raise LogError("only zero bytes; copy the file again from its source")
     return stream
+
+
+def decode_text(data: bytes) -> str:
+    """Return the text of a table or log; spreadsheet programs write a byte order mark first.
+
+    Names and comments may be in Latin-1 (°) above a last row in ASCII.
+    """
+    is_wide = data.startswith((b"\xff\xfe", b"\xfe\xff"))
+    try:
+        return data.decode("utf-16" if is_wide else "utf-8-sig")
+    except UnicodeDecodeError as err:
+        if is_wide:
+            raise LogError("expected UTF-16 text, found a damaged file") from err
+        _, _, last = data.rstrip().rpartition(b"\n")
+        if last.isascii() and b"\0" not in data:
+            return data.decode("latin-1")
+        found = f"0x{err.object[err.start]:02x}"
+        raise LogError(f"byte {err.start}: expected UTF-8 text, found {found}") from err
 
 
 def _has_only_zeros(stream: BinaryIO) -> bool:
@@ -332,3 +366,8 @@ else:
         except OSError:
             return False
         return False
+
+
+def create_file(path: Path) -> BinaryIO:
+    """Create a new file and return it unbuffered."""
+    return path.open("xb", buffering=0)

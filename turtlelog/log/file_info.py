@@ -15,6 +15,8 @@ from mcap.well_known import SchemaEncoding
 from numpy.typing import NDArray
 
 from turtlelog.display import describe_count, fit_line
+from turtlelog.errors import LogError, ScenarioError
+from turtlelog.files.text_files import format_toml, parse_known_toml
 from turtlelog.files.urls import make_path
 from turtlelog.log.engine.blocks import parse_others, read_heads, take_walked, walk_through
 from turtlelog.log.engine.channels import Catalogue, describe_unread
@@ -22,19 +24,21 @@ from turtlelog.log.engine.limits import Allowance, measure_stored
 from turtlelog.log.engine.opening import open_storage, strip_suffixes
 from turtlelog.log.engine.source import Source
 from turtlelog.log.engine.sqlite_source import SqliteSource
-from turtlelog.log.engine.walk import Loss, Section
-from turtlelog.log.file_access import DamageError, UnfinishedError
+from turtlelog.log.engine.walk import Section
+from turtlelog.log.file_access import DamageError, Loss, UnfinishedError
 from turtlelog.log.recording.head import (
     HEAD,
+    LONGEST_TEXT,
+    PARAMETER_FILE,
+    SCENARIO_FILE,
     add_lost,
     describe_damages,
     describe_recovery,
     parse_head,
-    parse_scenario_file,
 )
 from turtlelog.log.recording.topics import COMMAND, CONTROL, EVENT, GOAL, POSE
-from turtlelog.run import Lost, Parameter
-from turtlelog.scenario import flatten_tables
+from turtlelog.run import Lost, Parameter, Run
+from turtlelog.scenario import flatten_tables, nest_parameters
 
 _LONE: Final = (Opcode.METADATA, Opcode.ATTACHMENT)
 
@@ -227,6 +231,31 @@ def _add_head(info: RecordingInfo, survey: Survey) -> RecordingInfo:
         notes={**head.notes, **info.notes},
         was_clock_set=head.origin.was_clock_set,
     )
+
+
+def format_scenario_file(run: "Run") -> dict[str, bytes]:
+    """Return the attached TOML text by its name; nothing if no parameter is known."""
+    if not run.parameters and not run.scenario_is_complete:
+        return {}
+    try:
+        tables = nest_parameters(run.parameters)
+    except ScenarioError as err:
+        raise LogError(f"parameters: {err}") from err
+    name = SCENARIO_FILE if run.scenario_is_complete else PARAMETER_FILE
+    return {name: format_toml(tables).encode()}
+
+
+def parse_scenario_file(attachments: Mapping[str, bytes]) -> tuple[dict[str, Any], bool]:
+    """Return the attached tables, and whether they are a complete scenario. No law is loaded."""
+    name = SCENARIO_FILE if SCENARIO_FILE in attachments else PARAMETER_FILE
+    text = attachments.get(name, b"")
+    if len(text) > LONGEST_TEXT:
+        raise LogError(f"attachment {name}: expected up to {LONGEST_TEXT} bytes, found {len(text)}")
+    try:
+        tables = parse_known_toml(text.decode())
+    except ValueError as err:
+        raise LogError(f"attachment {name}: not TOML: {err}") from err
+    return tables, name in attachments and name == SCENARIO_FILE
 
 
 def list_absent(topics: Iterable[TopicInfo]) -> tuple[str, ...]:

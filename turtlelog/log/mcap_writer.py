@@ -37,8 +37,14 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.libraries import __version__
-from turtlelog.log.engine.cdr import encode_alike, encode_fixed, encode_varied, fit_numbers
-from turtlelog.log.engine.message_types import Field, lay_out_alike, name_parts, read_type
+from turtlelog.log.engine.blocks import ChannelRecords, ChunkRows, fit_numbers
+from turtlelog.log.engine.cdr import encode_alike, encode_fixed, encode_varied
+from turtlelog.log.engine.message_types import (
+    Field,
+    lay_out_alike,
+    name_parts,
+    read_type,
+)
 from turtlelog.log.engine.source import map_ahead
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.file_access import (
@@ -62,6 +68,10 @@ _AHEAD: Final = 2 * _THREADS
 """Number of chunks that may wait to be written; each has 1 MiB unless one record is larger."""
 CHUNK_BYTES: Final = 2**20
 """Largest chunk in a file that is written at once, without schemas and channels [bytes]."""
+
+
+LIVE_CHUNK_BYTES: Final = 2**16
+"""Approximate chunk size in a live recording [bytes]."""
 
 _FOOTER_FRONT: Final = 25  # bytes of the footer that its checksum covers
 
@@ -105,27 +115,6 @@ def write_columns(
 Numbers = NDArray[np.int64]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ChannelRecords:
-    """The message records of one channel, in order of log time.
-
-    Attributes:
-        schema: Schema of the channel.
-        channel: Channel of the records.
-        log_time_ns: Log time of each record [ns], shape (n,), not decreasing.
-        data: The records one after the other, shape (bytes,).
-        sizes: Size of each record [bytes], shape (n,).
-        ends: End of each record in `data` [bytes], shape (n,).
-    """
-
-    schema: Schema
-    channel: Channel
-    log_time_ns: Numbers
-    data: NDArray[np.uint8]
-    sizes: Numbers
-    ends: Numbers
-
-
 def _encode_topics(
     topics: Sequence[TopicColumns], definitions: Mapping[str, str]
 ) -> Iterator[ChannelRecords]:
@@ -137,27 +126,6 @@ def _encode_topics(
     for columns, (schema, channel) in zip(topics, channels, strict=True):
         with name_place(f"topic {columns.topic}"):
             yield encode_records(columns, schema, channel)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ChunkRows:
-    """The messages of one chunk.
-
-    Attributes:
-        channels: Channels of the messages, with their schemas, if any.
-        records: Message records, one after the other.
-        index: By channel number: log time [ns] and offset of each message, shape (n, 2).
-    """
-
-    channels: Sequence[tuple[Schema | None, Channel]]
-    records: bytes | bytearray | memoryview
-    index: Mapping[int, NDArray[np.uint64]]
-
-    @property
-    def span_ns(self) -> tuple[int, int]:
-        """Least and greatest log time [ns]."""
-        times = [entries[:, 0] for entries in self.index.values()]
-        return min(int(of.min()) for of in times), max(int(of.max()) for of in times)
 
 
 @dataclass(slots=True)

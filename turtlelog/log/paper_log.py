@@ -18,9 +18,9 @@ from turtlelog.errors import LogError
 from turtlelog.files.text_files import describe_csv_error, iterate_lines
 from turtlelog.files.urls import make_path
 from turtlelog.laws.sequential_p import DECLARATION
-from turtlelog.log.file_access import MCAP0_MAGIC, name_file, open_file
+from turtlelog.log.file_access import MCAP0_MAGIC, decode_text, name_file, open_file
 from turtlelog.log.planar_poses import note_changes
-from turtlelog.log.table_files import decode_text, read_header
+from turtlelog.log.table_files import read_header
 from turtlelog.run import CommandColumns, Origin, PoseColumns, Run, SampleColumns
 from turtlelog.run.loops import DONE
 from turtlelog.run.stop_reasons import FINISHED

@@ -15,45 +15,11 @@ from typing import Any, BinaryIO, Final, NamedTuple
 from turtlelog.errors import LogError
 from turtlelog.files.urls import RemotePath, make_path
 from turtlelog.libraries import load_library
-from turtlelog.log.engine.limits import SMALL_FILE, grow_bound
+from turtlelog.log.engine import limits
 from turtlelog.log.file_access import DamageError, open_file
-
-MOST_ROWS: Final = 350_000
-"""Largest number of rows of a small file, two hours at 50 poses per second.
-
-Libraries leave 120 MB of the file's memory limit, and commands take up to 310 bytes per row."""
-_ROW_BYTES: Final = 8
-"""Bytes of a larger file per further row: x and y as 32-bit numbers do not compress."""
-
-_CELLS_A_ROW: Final = 16
-"""Number columns that are read at once with the most rows; fewer rows allow more columns."""
-
-_TEXT_BYTES: Final = (24 * 2**20, 2)
-"""Bytes of texts that are read at once, plus bytes per byte of the file (for dictionaries)."""
-
-_PAGES: Final = (10_000, 1 / 1000)
-"""Number of pages, plus pages per byte of the file.
-
-Writers put 20,000 values or 1 MB into a page. Reading the header of a page takes 30 us."""
-
-_PAGE_BYTES: Final = (2**16, 16)
-"""Bytes of a page of numbers, plus bytes per row; the longest numbers have 16."""
-
-_FOOTER_BYTES: Final = (2**21, 1 / 16)
-_FOOTER_PARTS: Final = (2**16, 1 / 128)
-"""Bytes and structs of the footer, plus those per byte of the file. Each column of each row group
-takes 740 bytes in Arrow, and at least 100 in a file by other programs."""
-
-_REMOTE_FOOTER_BYTES: Final = 2**23
-"""Largest footer behind a URL [bytes]: a server may claim any file size, and reading takes 80
-MB."""
-_REMOTE_FOOTER_PARTS: Final = 2**17
-"""Largest number of structs in a footer behind a URL; they take up to 100 MB in Arrow."""
 
 _DOWNLOAD: Final = "; download the file, then name the copy"
 
-_DEEPEST: Final = 32
-"""Largest nesting depth of columns in structs and lists; ROS messages have 6."""
 
 _SHARES_PREFIXES: Final = 7
 """Encoding DELTA_BYTE_ARRAY: a text of 1 MB that repeats the previous one takes 2 bytes."""
@@ -61,19 +27,6 @@ _PLACES: Final = frozenset({2, 8})
 """Encodings with indices of a dictionary, which may repeat one long text."""
 _NO_DICTIONARY: Final = frozenset({6, _SHARES_PREFIXES})
 """Encodings that Arrow does not read into a dictionary."""
-
-
-def count_most_rows(size: int) -> int:
-    """Return the largest number of table rows for a file size [bytes]."""
-    return MOST_ROWS if size < SMALL_FILE else max(MOST_ROWS, size // _ROW_BYTES)
-
-
-def describe_rows(found: str, most: int, size: int) -> str:
-    """Return why a table with too many rows is refused, and what to do."""
-    return (
-        f"the table has {found} rows; {most:,} are the most for a file of {size:,} bytes. Cut the"
-        " table into parts"
-    )
 
 
 class _Chunk(NamedTuple):
@@ -116,17 +69,23 @@ class ParquetFile:
             self._size = stream.seek(0, 2)
             is_remote = isinstance(self._path, RemotePath)
             # The size that a server claims does not raise any limit.
-            self._believed = min(self._size, SMALL_FILE - 1) if is_remote else self._size
+            self._believed = min(self._size, limits.SMALL_FILE - 1) if is_remote else self._size
             self._advice = _DOWNLOAD if is_remote else ""
-            most = grow_bound(_FOOTER_BYTES, self._size), grow_bound(_FOOTER_PARTS, self._size)
+            most = (
+                limits.grow_bound(limits.PARQUET_FOOTER_BYTES, self._size),
+                limits.grow_bound(limits.PARQUET_FOOTER_PARTS, self._size),
+            )
             if is_remote:
-                most = min(most[0], _REMOTE_FOOTER_BYTES), min(most[1], _REMOTE_FOOTER_PARTS)
+                most = (
+                    min(most[0], limits.PARQUET_REMOTE_FOOTER_BYTES),
+                    min(most[1], limits.PARQUET_REMOTE_FOOTER_PARTS),
+                )
             footer = _read_footer(stream, *most, self._advice)
             depth = _measure_depth([element.get(5, 0) for element in footer.get(2, [])])
-            if depth > _DEEPEST:
+            if depth > limits.PARQUET_DEPTH:
                 raise LogError(
                     f"columns lie {depth} deep in each other; turtlelog reads up to"
-                    f" {_DEEPEST}. Write a table of flat columns"
+                    f" {limits.PARQUET_DEPTH}. Write a table of flat columns"
                 )
             stream.seek(0)
             try:
@@ -177,17 +136,19 @@ class ParquetFile:
         Raises:
             LogError: If there are too many rows; without the file's name.
         """
-        most = count_most_rows(self._size)
+        most = limits.count_most_rows(self._size)
         if self.row_count > most:
-            told = describe_rows(f"{self.row_count:,}", most, self._size)
+            told = limits.describe_rows(f"{self.row_count:,}", most, self._size)
             raise LogError(f"{told}, or write it without compression")
-        if self.row_count > MOST_ROWS and isinstance(self._path, RemotePath):
+        if self.row_count > limits.MOST_ROWS and isinstance(self._path, RemotePath):
             self._believed = self._path.file.fetch_whole()
 
     def require_cells(self, columns: int, rows: int | None = None) -> None:
         """Refuse to read more cells than the memory limit allows. Default: all rows."""
         rows = self.row_count if rows is None else rows
-        most = _CELLS_A_ROW * max(MOST_ROWS, self._believed // _ROW_BYTES)
+        most = limits.PARQUET_CELLS_A_ROW * max(
+            limits.MOST_ROWS, self._believed // limits.ROW_BYTES
+        )
         if rows * columns > most:
             raise LogError(
                 f"the table has {columns:,} columns of {rows:,} rows; {most:,} cells are the most"
@@ -424,8 +385,10 @@ class _PageCounts:
 
     def __init__(self, stream: BinaryIO, file_size: int, advice: str) -> None:
         self._stream, self._advice = stream, advice
-        self._pages = self._most_pages = grow_bound(_PAGES, file_size)
-        self._text_bytes = self._most_text_bytes = grow_bound(_TEXT_BYTES, file_size)
+        self._pages = self._most_pages = limits.grow_bound(limits.PARQUET_PAGES, file_size)
+        self._text_bytes = self._most_text_bytes = limits.grow_bound(
+            limits.PARQUET_TEXT_BYTES, file_size
+        )
 
     def count(self, chunks: Sequence[_Chunk], leaf: Any) -> bool:
         """Count the pages of a column, and return whether it is read as a dictionary of texts."""
@@ -439,7 +402,7 @@ class _PageCounts:
                 repeats = repeating or page.encoding == _SHARES_PREFIXES
                 self._spend_text(page.unpacked * (values if repeats else 1))
             return is_dictionary
-        base, share = _PAGE_BYTES
+        base, share = limits.PARQUET_PAGE_BYTES
         if leaf.physical_type == "FIXED_LEN_BYTE_ARRAY":
             share += leaf.length
             self._spend_text(sum(leaf.length * chunk.values for chunk in chunks))

@@ -10,23 +10,21 @@ from typing import Final, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.display import describe_count, format_seconds, format_utc, join_words
+from turtlelog.display import format_seconds, format_utc, join_words
 from turtlelog.errors import LogError
 from turtlelog.files.urls import make_path
 from turtlelog.log import planar_poses, table_columns
 from turtlelog.log.file_access import name_file
 from turtlelog.log.planar_poses import Values
 from turtlelog.log.read_choice import CHOSEN, RESTARTS
-from turtlelog.log.ros2.computed_poses import take_courses
+from turtlelog.log.ros2.bag_rows import LARGEST
+from turtlelog.log.ros2.computed_poses import take_asked_courses
 from turtlelog.log.ros2.reported_motion import describe_speed, describe_turning, describe_units
-from turtlelog.log.ros2.set_clocks import DAY_NS, count_midnights, find_runs
+from turtlelog.log.ros2.set_clocks import DAY_NS, count_midnights, describe_restart, find_runs
 from turtlelog.log.ros2.stamps import note_crowded
 from turtlelog.log.table_columns import EPOCHS, QUANTITIES, Choice, offer_robots, show_column
 from turtlelog.log.table_files import KITTI_COLUMNS, PlainTable, read_plain_table
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns, SourceKind
-
-_LARGEST: Final = 1e30
-"""Largest number of a motion that is judged: squares of larger numbers may overflow."""
 
 _NEVER: Final = (
     *("poses.speed_m_s", "poses.turn_rate_rad_s", "samples", "goal_xy_m", "goal_heading_rad"),
@@ -47,11 +45,6 @@ _MOST_UNREAD: Final = 160
 
 _COMMANDS: Final = {"command_speed": "speed_m_s", "command_turn_rate": "turn_rate_rad_s"}
 _OTHERS: Final = ("z", "speed", "turn_rate", *_COMMANDS)
-
-_NORTH_RAD: Final = math.pi / 2.0
-"""Heading of a robot to the north, +y [rad]."""
-
-_POWERS: Final = {"s": 9, "ms": 6, "us": 3, "ns": 0}
 
 
 def import_plain_table(
@@ -134,7 +127,7 @@ def _build_run(path: Path, cells: "Cells") -> Run:
     time_ns, values, changed = planar_poses.sort_rows(cells.time_ns, values)
     has_courses, courses = "heading" not in values, dict[str, str]()
     if has_courses:
-        values["heading"], courses = _take_courses(time_ns, values["x"], values["y"])
+        values["heading"], courses = take_asked_courses(time_ns, values["x"], values["y"])
     places = np.column_stack([values[name] for name in ("x", "y", "heading")])
     has_pose = np.asarray(np.isfinite(places).all(axis=1))
     if not has_pose.any():
@@ -200,15 +193,10 @@ def _list_contradictions(
 ) -> dict[str, str]:
     used = [poses["x"], poses["y"], poses["heading"]]
     used += [whole[name] for name in ("speed", "turn_rate") if name in whole]
-    if max(float(np.abs(column).max()) for column in used) > _LARGEST:
+    if max(float(np.abs(column).max()) for column in used) > LARGEST:
         return {}
-    if notes := note_crowded(time_ns):
-        same = int(np.count_nonzero(np.diff(time_ns) == 1))
-        text = (
-            f"{same} of {len(time_ns)} poses have the time of the pose before, and all rates are"
-            " wrong: save times with all their digits"
-        )
-        return dict.fromkeys(notes, text) if 2 * same > len(time_ns) else notes
+    if notes := note_crowded(time_ns, may_be_rounded=True):
+        return notes
     xy_m, heading_rad = np.column_stack([poses["x"], poses["y"]]), poses["heading"]
     if doubt := describe_units(time_ns, xy_m, cells.find_assumed("t", "x", "y")):
         return {"unlikely_units": doubt}
@@ -242,21 +230,6 @@ def _read_rotation(cells: "Cells") -> dict[str, Values]:
         "heading": planar_poses.compute_heading(x, y, z, w),
         "tilt": planar_poses.compute_tilt(x, y, z, w),
     }
-
-
-def _take_courses(
-    time_ns: NDArray[np.int64], x_m: Values, y_m: Values
-) -> tuple[Values, dict[str, str]]:
-    """Return courses as headings, NaN without a place, and a note on them."""
-    heading_rad = np.full(len(x_m), np.nan)
-    placed = np.flatnonzero(np.isfinite(x_m) & np.isfinite(y_m))
-    xy_m = np.column_stack([x_m, y_m])[placed]
-    if not len(placed):
-        return heading_rad, {}
-    heading_rad[placed], told = take_courses(time_ns[placed], xy_m, "asked for")
-    if not np.isfinite(heading_rad).any():
-        raise LogError(f"--column heading={_COURSE}: the robot moves too little for a course")
-    return heading_rad, {"heading": told}
 
 
 def _build_commands(time_ns: NDArray[np.int64], values: Mapping[str, Values]) -> CommandColumns:
@@ -336,7 +309,7 @@ class Cells:
         if len(runs) > 1:
             number = runs.index(self._rows) + 1
             self.table_run = number, len(runs)
-            self.notes[RESTARTS] = self._describe_restart(runs, number)
+            self.notes[RESTARTS] = describe_restart(runs, number, table.word, self._lines)
 
     def read(self, field: str) -> Values | None:
         """Return the numbers of a column, NaN if a cell is empty; None without such a column."""
@@ -346,7 +319,7 @@ class Cells:
         numbers = self._parse(choice)
         unit = choice.unit or self._assume_unit(choice, numbers)
         values = numbers[self._rows] * choice.units[unit]
-        return _NORTH_RAD + values if unit == "compass" else values
+        return table_columns.NORTH_RAD + values if unit == "compass" else values
 
     def require(self, field: str) -> Values:
         """Return the numbers of an existing column."""
@@ -373,16 +346,6 @@ class Cells:
         runs = find_runs(time_ns[placed]) if len(placed) else []
         edges = [0, *(int(placed[run.start]) for run in runs[1:]), len(time_ns)]
         return [*map(slice, edges[:-1], edges[1:])]
-
-    def _describe_restart(self, runs: Sequence[slice], number: int) -> str:
-        lines, word, rows = self._lines, self.table.word, self._rows
-        left = sum(run.stop - run.start for run in runs) - (rows.stop - rows.start)
-        return (
-            f"run {number} of {len(runs)} in the table is read, {word}s"
-            f" {lines[rows.start]} to {lines[rows.stop - 1]}; times start again at {word}"
-            f" {lines[runs[1].start]}, and {describe_count(left, 'row')} are left out: save each"
-            " run to a file of its own"
-        )
 
     def describe(self) -> str:
         """Return a description of the columns: quantities, units, and unread columns."""
@@ -471,7 +434,7 @@ class Cells:
                 self._guesses["t"] = f"{unit} since 1970" if is_dated else f"{unit}, assumed"
                 if not is_dated:
                     self._assumed.add("t")
-            power = _POWERS[unit]
+            power = table_columns.TIME_POWERS[unit]
             found = (table_columns.read_time(cell, power) for cell in cells)
         times = np.empty(len(cells), dtype=np.int64)
         for row, time_ns in enumerate(found):
@@ -479,7 +442,7 @@ class Cells:
                 self.refuse("t", row, "a time")
             times[row] = time_ns
         if (more := self.chosen.get("t_nanosec")) is not None:
-            factor = np.int64(10 ** _POWERS[more.unit or "ns"])
+            factor = np.int64(10 ** table_columns.TIME_POWERS[more.unit or "ns"])
             times += self._parse(more).astype(np.int64) * factor
         days = count_midnights(times)
         if days.any():

@@ -241,6 +241,7 @@ NOTES: Final[Mapping[str, NoteKind]] = MappingProxyType(
         "held_transforms": _OF_SOURCE,
         "dropped_before_transforms": _OF_SOURCE,
         "robots": _IN_INFO,
+        "other_robot": replace(_OF_SOURCE, has_label=False),
         "heading": _OF_SOURCE,
         "origin": _IN_INFO,
         "wheels": _OF_SOURCE,

@@ -19,8 +19,8 @@ from turtlelog.log.engine.records import take_apart
 from turtlelog.log.engine.source import FileSummary, salvage_summary
 from turtlelog.log.engine.sqlite_file import describe_sqlite_error, measure_pages
 from turtlelog.log.engine.sqlite_source import Row, SqliteRows, SqliteSource
-from turtlelog.log.engine.walk import Loss, Section, walk_sections
-from turtlelog.log.file_access import create_folder, name_file, replace_when_complete
+from turtlelog.log.engine.walk import Section, walk_sections
+from turtlelog.log.file_access import Loss, create_folder, name_file, replace_when_complete
 from turtlelog.log.file_info import METADATA_FILE, describe_bag
 from turtlelog.log.mcap_writer import LIBRARY, join_records
 from turtlelog.log.recording.head import RECOVERY, SUMMARY_LOST, format_recovery

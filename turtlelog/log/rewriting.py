@@ -13,9 +13,10 @@ from mcap.records import Attachment, Channel, Header, Metadata, Schema
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
+from turtlelog.log.engine.blocks import ChunkRows
 from turtlelog.log.engine.limits import CHANGES, CHUNK_CHANNELS, Allowance
 from turtlelog.log.engine.records import RECORD, RecordStretch, parse_body
-from turtlelog.log.mcap_writer import LIBRARY, ChunkRows, McapFile, join_records
+from turtlelog.log.mcap_writer import LIBRARY, McapFile, join_records
 
 _CHANNEL: Final = 9  # offset of the channel number in a message record, u16
 _MOST_FAULTS: Final = 100  # errors reported for one segment

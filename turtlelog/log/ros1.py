@@ -21,6 +21,8 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
 from turtlelog.errors import LogError, describe_error
+from turtlelog.log.engine import limits
+from turtlelog.log.engine.blocks import ChunkRows
 from turtlelog.log.engine.cdr import ENCAPSULATION
 from turtlelog.log.engine.limits import UNPACKED_FILE, Allowance, grow_bound, unpack_chunk
 from turtlelog.log.engine.message_types import (
@@ -33,7 +35,7 @@ from turtlelog.log.engine.message_types import (
 )
 from turtlelog.log.engine.records import COUNTED_HEAD
 from turtlelog.log.file_access import DamageError
-from turtlelog.log.mcap_writer import ChunkRows, McapFile
+from turtlelog.log.mcap_writer import McapFile
 
 _START: Final = b"#ROSBAG V2.0\n"
 _LENGTH: Final = struct.Struct("<I")
@@ -48,18 +50,6 @@ _STEP: Final = 2**20
 _LONGEST_HEADER: Final = 2**20
 """Longest header of a record [bytes]: a few names, or a definition with all its types."""
 
-_MESSAGES: Final = (2**18, 1 / 20)
-"""Largest number of messages in any bag, plus messages per byte; those of 10 MB take about 4 s."""
-
-_BZ2_BYTES: Final = (48 * 2**20, 8.0)
-"""Largest number of bytes that bz2 may unpack, plus bytes per byte of the bag.
-
-A bag of 10 MB takes about 4 s. Messages of robots pack to a fifth or a tenth."""
-
-_LARGEST_CHUNK: Final = (2**25, 1.0)
-"""Largest size of a chunk in any bag [bytes], plus bytes per byte of the bag.
-
-A larger one than 768 kB has one large message, which is in memory four times."""
 
 _MOST_CONNECTIONS: Final = 2**16 - 1
 _IN_RECORD: Final = "expected whole records in a chunk, found the end within one"
@@ -121,9 +111,9 @@ def copy_ros1_bag(
         copy = _Copy(
             file,
             Allowance(stored_size),
-            largest_chunk=grow_bound(_LARGEST_CHUNK, stored_size),
-            messages_left=grow_bound(_MESSAGES, stored_size),
-            bz2_left=grow_bound(_BZ2_BYTES, stored_size),
+            largest_chunk=grow_bound(limits.ROS1_CHUNK, stored_size),
+            messages_left=grow_bound(limits.ROS1_MESSAGES, stored_size),
+            bz2_left=grow_bound(limits.ROS1_BZ2_BYTES, stored_size),
         )
         if not _copy_records(stream, copy, is_partial=faults is not None):
             cut = f"byte {stream.tell()}: the bag is cut or was never finished"

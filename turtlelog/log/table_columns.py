@@ -41,6 +41,13 @@ UNITS: Final[Mapping[Quantity, Mapping[str, float]]] = {
 
 An angle of a compass [deg] is 0 to the north, which is +y, and clockwise."""
 
+
+NORTH_RAD: Final = math.pi / 2.0
+"""Heading of a robot to the north, +y [rad]."""
+
+TIME_POWERS: Final = {"s": 9, "ms": 6, "us": 3, "ns": 0}
+"""Units of time as powers of ten, in nanoseconds."""
+
 _SPELLINGS: Final[Mapping[str, str]] = {
     **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), "s"),
     **dict.fromkeys(("ms", "msec", "millis", "milliseconds"), "ms"),

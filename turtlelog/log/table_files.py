@@ -17,8 +17,9 @@ from turtlelog.display import describe_count, format_seconds
 from turtlelog.errors import LogError
 from turtlelog.files.text_files import BLANKS_AND_COMMENTS, describe_csv_error, iterate_lines
 from turtlelog.files.urls import make_path
-from turtlelog.log.file_access import name_file, open_file, replace_when_complete
-from turtlelog.log.parquet_file import ParquetFile, count_most_rows, describe_rows, list_cells
+from turtlelog.log.engine.limits import count_most_rows, describe_rows
+from turtlelog.log.file_access import decode_text, name_file, open_file, replace_when_complete
+from turtlelog.log.parquet_file import ParquetFile, list_cells
 from turtlelog.log.planar_poses import compute_heading
 from turtlelog.log.table_columns import is_row_of_units
 from turtlelog.run import Lost, Run
@@ -350,24 +351,6 @@ class _StoredColumns:
             if values.dtype.kind in "iuf":
                 return values  # type: ignore[no-any-return]
         return ["" if cell is None else str(cell) for cell in list_cells(column)]
-
-
-def decode_text(data: bytes) -> str:
-    """Return the text of a table or log; spreadsheet programs write a byte order mark first.
-
-    Names and comments may be in Latin-1 (°) above a last row in ASCII.
-    """
-    is_wide = data.startswith((b"\xff\xfe", b"\xfe\xff"))
-    try:
-        return data.decode("utf-16" if is_wide else "utf-8-sig")
-    except UnicodeDecodeError as err:
-        if is_wide:
-            raise LogError("expected UTF-16 text, found a damaged file") from err
-        _, _, last = data.rstrip().rpartition(b"\n")
-        if last.isascii() and b"\0" not in data:
-            return data.decode("latin-1")
-        found = f"0x{err.object[err.start]:02x}"
-        raise LogError(f"byte {err.start}: expected UTF-8 text, found {found}") from err
 
 
 def read_header(path: Path) -> tuple[str, ...]:

@@ -7,7 +7,8 @@ from mcap.stream_reader import StreamReader
 
 from tests.log.runs import find_shared
 from tests.torture.recordings import COMPRESSIONS, list_records, make_recording, pack_again
-from turtlelog.log.engine.walk import Loss, Section, walk_sections
+from turtlelog.log.engine.walk import Section, walk_sections
+from turtlelog.log.file_access import Loss
 
 CHUNK, INDEX, METADATA, DATA_END, HEAD = 6, 7, 12, 15, 9
 KINDS = {1: "Header", 3: "Schema", 4: "Channel", 5: "Message", 9: "Attachment", 12: "Metadata"}

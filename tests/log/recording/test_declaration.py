@@ -13,8 +13,12 @@ from tests.log.runs import STRANGE, make_run, simulate_short_run
 from turtlelog.errors import LogError
 from turtlelog.laws.sequential_p import DECLARATION
 from turtlelog.log import read_info, read_recording, write_recording
-from turtlelog.log.recording.head import declare_format1
-from turtlelog.log.recording.topics import define_types, find_type_hash, name_state_type
+from turtlelog.log.recording.reader import declare_format1
+from turtlelog.log.recording.topics import (
+    define_types,
+    find_type_hash,
+    name_state_type,
+)
 from turtlelog.run.loops import ControlLoop, Declaration, format_declaration, parse_declaration
 
 ENTRY: dict[str, Any] = json.loads(format_declaration(STRANGE))

@@ -15,8 +15,9 @@ from tests.log.runs import find_shared, make_run, simulate_preset
 from tests.log.strict import check_strictly
 from turtlelog.errors import LogError
 from turtlelog.log import mcap_writer, write_recording
+from turtlelog.log.engine.blocks import ChunkRows
 from turtlelog.log.engine.topic_columns import TopicColumns, read_columns
-from turtlelog.log.mcap_writer import ChunkRows, write_columns
+from turtlelog.log.mcap_writer import write_columns
 from turtlelog.log.recording.topics import SCHEMAS
 
 MIXED = "mine_msgs/msg/Mixed"

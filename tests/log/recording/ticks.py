@@ -6,7 +6,8 @@ from typing import Any, BinaryIO
 
 from tests.log.runs import assert_same
 from turtlelog.log.engine.topic_columns import read_columns
-from turtlelog.log.recording.recorder import Recorder, create_file
+from turtlelog.log.file_access import create_file
+from turtlelog.log.recording.recorder import Recorder
 from turtlelog.scenario import Scenario, get_preset, override_scenario
 from turtlelog.simulate import Tick, iterate_ticks
 

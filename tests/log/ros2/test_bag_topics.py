@@ -411,3 +411,29 @@ def test_commands_of_an_unread_type_are_named(name: str, *, is_told: bool) -> No
     pick, lack = choose_commands(list_topics((name, kind)), ReadChoice(), pose_topic="/odom")
     assert pick is None
     assert lack.startswith(f"commands on {name}: {kind} is not read") is is_told
+
+
+@pytest.mark.parametrize(
+    ("poses", "commands", "is_told"),
+    [
+        ("/odom", "/robot2/cmd_vel", True),
+        ("/odometry/filtered", "/robot2/cmd_vel", True),
+        ("/alice/odom", "/bob/cmd_vel", True),
+        ("/odom", "/mobile_base/commands/velocity", False),
+        ("/odometry/filtered", "/nav/cmd_vel", False),
+        ("/robot2/odom", "/cmd_vel", False),
+        ("/robot2/odom", "/robot2/cmd_vel", False),
+        ("/vrpn/tb1/pose", "/tb1/cmd_vel", False),
+        ("/odom", "/teleop2_joy/cmd_vel", False),
+    ],
+)
+def test_commands_that_may_be_another_robots_are_told(
+    poses: str, commands: str, tmp_path: Path, *, is_told: bool
+) -> None:
+    bag = write_robot(tmp_path, say_odometry(poses), make_command(topic=commands))
+    run = read_run(bag)
+    told = f"the commands on {commands} may be another robot's, as the poses on {poses} are not"
+    assert len(run.commands) == 1
+    assert run.notes.get("other_robot", "").startswith(told) == is_told
+    assert ("other_robot" in run.notes) == is_told
+    assert "other_robot" not in read_run(bag, command_topic=commands).notes

@@ -7,21 +7,23 @@ Otherwise the record headers are read one by one.
 
 import struct
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, BinaryIO, Final, TypeVar
 
 import numpy as np
 from mcap.opcode import Opcode
+from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError, describe_error
 from turtlelog.log.engine import limits, records
 from turtlelog.log.engine.channels import Catalogue
+from turtlelog.log.engine.message_types import Column
 from turtlelog.log.engine.records import RECORD, Place, parse_record
-from turtlelog.log.engine.walk import CHUNK_HEAD, Loss, Section, walk_sections
-from turtlelog.log.file_access import DamageError, LimitError, check_start
+from turtlelog.log.engine.walk import CHUNK_HEAD, Section, walk_sections
+from turtlelog.log.file_access import DamageError, LimitError, Loss, check_start
 
 T = TypeVar("T")
 Offsets = NDArray[np.int64]
@@ -81,6 +83,65 @@ class Block:
     rest: tuple[Any, ...]
     before: Mapping[str, int] | None = None
     unit: str = "byte"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ChannelRecords:
+    """The message records of one channel, in order of log time.
+
+    Attributes:
+        schema: Schema of the channel.
+        channel: Channel of the records.
+        log_time_ns: Log time of each record [ns], shape (n,), not decreasing.
+        data: The records one after the other, shape (bytes,).
+        sizes: Size of each record [bytes], shape (n,).
+        ends: End of each record in `data` [bytes], shape (n,).
+    """
+
+    schema: Schema
+    channel: Channel
+    log_time_ns: Offsets
+    data: NDArray[np.uint8]
+    sizes: Offsets
+    ends: Offsets
+
+
+def fit_numbers(name: str, values: Column, kind: str) -> Column:
+    """Return numbers of a kind. Integers must fit; floats beyond 32 bits become inf."""
+    target, is_whole = np.dtype(kind), values.dtype.kind in "iub"
+    if not is_whole and (values.dtype.kind != "f" or target.kind != "f"):
+        expected = "numbers" if target.kind == "f" else "whole numbers"
+        raise LogError(f"{name}: expected {expected}, found {values.dtype}")
+    if target.kind != "f" and values.size:
+        limits = np.iinfo(target)
+        for value in (int(values.min()), int(values.max())):
+            if not limits.min <= value <= limits.max:
+                raise LogError(
+                    f"{name}: expected values from {limits.min} to {limits.max}, found {value}"
+                )
+    with np.errstate(over="ignore"):
+        return values.astype(target, copy=False)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChunkRows:
+    """The messages of one chunk.
+
+    Attributes:
+        channels: Channels of the messages, with their schemas, if any.
+        records: Message records, one after the other.
+        index: By channel number: log time [ns] and offset of each message, shape (n, 2).
+    """
+
+    channels: Sequence[tuple[Schema | None, Channel]]
+    records: bytes | bytearray | memoryview
+    index: Mapping[int, NDArray[np.uint64]]
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """Least and greatest log time [ns]."""
+        times = [entries[:, 0] for entries in self.index.values()]
+        return min(int(of.min()) for of in times), max(int(of.max()) for of in times)
 
 
 def read_heads(block: Block) -> tuple[NDArray[np.uint16], NDArray[np.uint64]]:

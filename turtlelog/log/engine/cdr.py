@@ -2,7 +2,6 @@
 
 import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -10,7 +9,7 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.blocks import Offsets
+from turtlelog.log.engine.blocks import Offsets, fit_numbers
 from turtlelog.log.engine.message_types import (
     LITTLE_ENDIAN,
     MESSAGE,
@@ -19,9 +18,10 @@ from turtlelog.log.engine.message_types import (
     Column,
     Field,
     Layout,
+    PackedItems,
     name_parts,
 )
-from turtlelog.log.engine.records import RECORD, gather_bytes
+from turtlelog.log.engine.records import FRONT, RECORD, gather_bytes
 
 Order = Literal["<", ">"]
 
@@ -323,19 +323,8 @@ def _list_numbers(fields: tuple[Field, ...], prefix: str) -> Iterator[tuple[str,
         raise _OtherKindError
 
 
-FRONT: Final = struct.Struct("<BQHIQQ4s")
-"""Front of a record: opcode, length, channel, sequence, log and publish time, encapsulation."""
-
 ENCAPSULATION: Final = b"\x00\x01\x00\x00"
 """Encapsulation of plain CDR, little-endian."""
-
-
-@dataclass(frozen=True, slots=True)
-class PackedItems:
-    """Items of a sequence, encoded one after another from a multiple of 8 bytes on."""
-
-    count: int
-    data: bytes
 
 
 def encode_fixed(
@@ -400,23 +389,6 @@ def encode_varied(
         data += record
         sizes.append(len(record))
     return np.frombuffer(data, np.uint8), np.array(sizes, dtype=np.int64)
-
-
-def fit_numbers(name: str, values: Column, kind: str) -> Column:
-    """Return numbers of a kind. Integers must fit; floats beyond 32 bits become inf."""
-    target, is_whole = np.dtype(kind), values.dtype.kind in "iub"
-    if not is_whole and (values.dtype.kind != "f" or target.kind != "f"):
-        expected = "numbers" if target.kind == "f" else "whole numbers"
-        raise LogError(f"{name}: expected {expected}, found {values.dtype}")
-    if target.kind != "f" and values.size:
-        limits = np.iinfo(target)
-        for value in (int(values.min()), int(values.max())):
-            if not limits.min <= value <= limits.max:
-                raise LogError(
-                    f"{name}: expected values from {limits.min} to {limits.max}, found {value}"
-                )
-    with np.errstate(over="ignore"):
-        return values.astype(target, copy=False)
 
 
 def encode_message(

@@ -6,7 +6,9 @@ take more. Most limits are about ten times the needs of recordings.
 """
 
 import threading
+import zlib
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from io import SEEK_END, BytesIO
 from typing import BinaryIO, Final
 
@@ -40,6 +42,16 @@ MOST_DESCRIBED: Final = 2**17
 
 LONGEST_DESCRIBED: Final = 2**24
 """Largest size of a schema or channel [bytes]; a text with all its types takes 100 kB."""
+
+
+LONGEST_MESSAGE: Final = 2**24
+"""Largest size of a message [bytes]. Decoded objects may take thirty times as much memory."""
+
+MOST_PARTS: Final = 2**18
+"""Largest number of objects, references and choices that are read in a schema.
+
+References to objects with references multiply, even without fields. Reading this number of parts
+takes 0.5 s; a text of 1 MB has fewer objects."""
 
 # A writer closes a chunk after the message that fills it, so one of 64 MiB is one message longer.
 # Chunks should be much smaller than their file; a large file may have one eight times as large.
@@ -159,6 +171,72 @@ def measure_stored(stream: BinaryIO) -> int:
     return size
 
 
+MOST_ROWS: Final = 350_000
+"""Largest number of rows of a small file, two hours at 50 poses per second.
+
+Libraries leave 120 MB of the file's memory limit, and commands take up to 310 bytes per row."""
+ROW_BYTES: Final = 8
+"""Bytes of a larger file per further row: x and y as 32-bit numbers do not compress."""
+
+
+def count_most_rows(size: int) -> int:
+    """Return the largest number of table rows for a file size [bytes]."""
+    return MOST_ROWS if size < SMALL_FILE else max(MOST_ROWS, size // ROW_BYTES)
+
+
+def describe_rows(found: str, most: int, size: int) -> str:
+    """Return why a table with too many rows is refused, and what to do."""
+    return (
+        f"the table has {found} rows; {most:,} are the most for a file of {size:,} bytes. Cut the"
+        " table into parts"
+    )
+
+
+PARQUET_TEXT_BYTES: Final = (24 * 2**20, 2)
+"""Bytes of texts that are read at once, plus bytes per byte of the file (for dictionaries)."""
+
+
+PARQUET_CELLS_A_ROW: Final = 16
+"""Number columns that are read at once with the most rows; fewer rows allow more columns."""
+
+PARQUET_PAGES: Final = (10_000, 1 / 1000)
+"""Number of pages, plus pages per byte of the file.
+
+Writers put 20,000 values or 1 MB into a page. Reading the header of a page takes 30 us."""
+
+PARQUET_PAGE_BYTES: Final = (2**16, 16)
+"""Bytes of a page of numbers, plus bytes per row; the longest numbers have 16."""
+
+PARQUET_FOOTER_BYTES: Final = (2**21, 1 / 16)
+PARQUET_FOOTER_PARTS: Final = (2**16, 1 / 128)
+"""Bytes and structs of the footer, plus those per byte of the file. Each column of each row group
+takes 740 bytes in Arrow, and at least 100 in a file by other programs."""
+
+PARQUET_REMOTE_FOOTER_BYTES: Final = 2**23
+"""Largest footer behind a URL [bytes]: a server may claim any file size, and reading takes 80
+MB."""
+PARQUET_REMOTE_FOOTER_PARTS: Final = 2**17
+"""Largest number of structs in a footer behind a URL; they take up to 100 MB in Arrow."""
+
+
+PARQUET_DEPTH: Final = 32
+"""Largest nesting depth of columns in structs and lists; ROS messages have 6."""
+
+
+ROS1_MESSAGES: Final = (2**18, 1 / 20)
+"""Largest number of messages in any bag, plus messages per byte; those of 10 MB take about 4 s."""
+
+ROS1_BZ2_BYTES: Final = (48 * 2**20, 8.0)
+"""Largest number of bytes that bz2 may unpack, plus bytes per byte of the bag.
+
+A bag of 10 MB takes about 4 s. Messages of robots pack to a fifth or a tenth."""
+
+ROS1_CHUNK: Final = (2**25, 1.0)
+"""Largest size of a chunk in any bag [bytes], plus bytes per byte of the bag.
+
+A larger one than 768 kB has one large message, which is in memory four times."""
+
+
 ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
 
 _SPARE: Final = 2**25
@@ -207,6 +285,28 @@ def unpack_chunk(
     except Exception as err:  # the libraries raise ZstdError, RuntimeError, MemoryError and more
         raise LogError(f"expected sound {compression} data, found {describe_error(err)}") from err
     raise LogError(f"expected the compression zstd, lz4 or none, found {compression[:20]!r}")
+
+
+def unpack_within(allowance: Allowance, compression: str, packed: bytes, size: int) -> bytes:
+    """Return the unpacked bytes of a chunk, within the limits that its file leaves."""
+    largest = allowance.largest_chunk
+    if compression and size > largest:
+        raise LogError(f"expected a chunk of up to {largest} bytes, found {size}")
+    if compression and not allowance.count_left(UNPACKED):
+        allowance.spend(UNPACKED)
+    spend = partial(allowance.spend, UNPACKED)
+    return unpack_chunk(compression, packed, size, largest=largest, spend=spend)
+
+
+def check_chunk(data: bytes, size: int, checksum: int, *, agree: bool) -> None:
+    """Refuse unpacked bytes that contradict the chunk's checksum or, without one, its lengths."""
+    if checksum and (found := zlib.crc32(data)) != checksum:
+        raise LogError(f"expected a chunk with the checksum {checksum:#010x}, found {found:#010x}")
+    if not checksum and (len(data) != size or not agree):
+        raise LogError(f"expected a chunk of {size} bytes, found {len(data)} and no checksum")
+
+
+LONGEST_COMPRESSION: Final = 64  # bytes of the name of a compression
 
 
 def _unpack_zstd(

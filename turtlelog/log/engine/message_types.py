@@ -1,5 +1,6 @@
 """Parsing of `ros2msg` schemas: the fields of a type, and its layout if its size is fixed."""
 
+import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -267,6 +268,14 @@ def shorten_type(name: str, package: str = "") -> str:
     return f"{before[-1] if before else package}/{last}"
 
 
+def widen_number(value: float) -> float:
+    """Return a number in double precision; one that is too large is infinite."""
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf if value > 0 else -math.inf
+
+
 def name_parts(field: Field) -> Iterator[str]:
     """Yield the parts of dotted names for a nested message: one part, or one per array element."""
     if field.length is None:
@@ -415,3 +424,11 @@ def lay_out_alike(fields: tuple[Field, ...], columns: Mapping[str, Column]) -> A
         return AlikeLayout(fields, columns)
     except _UnlikeError:
         return None
+
+
+@dataclass(frozen=True, slots=True)
+class PackedItems:
+    """Items of a sequence, encoded one after another from a multiple of 8 bytes on."""
+
+    count: int
+    data: bytes

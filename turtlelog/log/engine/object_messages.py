@@ -16,19 +16,12 @@ import msgspec
 import numpy as np
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.message_types import DEEPEST, MOST_FIELDS, Column
+from turtlelog.log.engine.limits import LONGEST_MESSAGE, MOST_PARTS
+from turtlelog.log.engine.message_types import DEEPEST, MOST_FIELDS, Column, widen_number
 from turtlelog.log.file_access import name_place
 
 JsonKind = Literal["number", "integer", "boolean", "string", "any"]
 
-LONGEST_MESSAGE: Final = 2**24
-"""Largest size of a message [bytes]. Decoded objects may take thirty times as much memory."""
-
-_MOST_PARTS: Final = 2**18
-"""Largest number of objects, references and choices that are read in a schema.
-
-References to objects with references multiply, even without fields. Reading this number of parts
-takes 0.5 s; a text of 1 MB has fewer objects."""
 
 _EXPECTED: Final[Mapping[JsonKind, str]] = {
     "number": "a number", "integer": "a whole number", "boolean": "true or false",
@@ -108,7 +101,7 @@ class _Schema:
     """A schema with a limited number of look-ups."""
 
     def __init__(self, name: str, root: Any) -> None:
-        self._name, self._root, self._left = name, root, _MOST_PARTS
+        self._name, self._root, self._left = name, root, MOST_PARTS
 
     def list_fields(self, schema: Any, path: tuple[str, ...]) -> Iterator[JsonField]:
         """Yield the fields of messages, including those of nested objects."""
@@ -145,7 +138,7 @@ class _Schema:
         self._left -= count
         if self._left < 0:
             raise LogError(
-                f"schema {self._name}: its objects refer to each other more than {_MOST_PARTS:,}"
+                f"schema {self._name}: its objects refer to each other more than {MOST_PARTS:,}"
                 " times; write a schema with fewer objects"
             )
 
@@ -201,7 +194,7 @@ def _convert(field: JsonField, value: Any) -> Any:
         return value
     if kind == "number":
         if is_number:
-            return _widen(value)
+            return widen_number(value)
         if isinstance(value, str) and value in _NAMED_NUMBERS:
             return _NAMED_NUMBERS[value]
     elif kind == "integer":
@@ -213,13 +206,6 @@ def _convert(field: JsonField, value: Any) -> Any:
     raise LogError(f"{field.name}: expected {_EXPECTED[kind]}, found {found}")
 
 
-def _widen(value: float) -> float:
-    try:
-        return float(value)
-    except OverflowError:
-        return math.inf if value > 0 else -math.inf
-
-
 def _build_column(kind: JsonKind, values: list[Any]) -> Column:
     if kind in {"any", "string"}:
         column = np.empty(len(values), dtype=object)
@@ -228,11 +214,13 @@ def _build_column(kind: JsonKind, values: list[Any]) -> Column:
         return column
     has_gaps = any(value is None for value in values)
     if kind == "number" or has_gaps:
-        return np.array([math.nan if v is None else _widen(v) for v in values], dtype=np.float64)
+        return np.array(
+            [math.nan if v is None else widen_number(v) for v in values], dtype=np.float64
+        )
     try:
         return np.array(values, dtype=np.bool_ if kind == "boolean" else np.int64)
     except OverflowError:
-        return np.array([_widen(value) for value in values], dtype=np.float64)
+        return np.array([widen_number(value) for value in values], dtype=np.float64)
 
 
 _VARINT, _EIGHT, _BYTES, _FOUR = 0, 1, 2, 5

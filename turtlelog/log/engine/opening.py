@@ -40,6 +40,19 @@ def is_bag_file(path: Path) -> bool:
         return stream.read(START_SIZE).startswith(_MAGICS)
 
 
+def require_one_storage(files: tuple[Path, ...]) -> None:
+    """Refuse SQLite beside MCAP files, which no recorder writes, and a file with two names."""
+    if len({".db3" in file.suffixes for file in files}) > 1:
+        names = ", ".join(file.name for file in files)
+        raise LogError(f"expected files of one storage, found MCAP beside SQLite: {names[:200]}")
+    places: dict[tuple[int, int], Path] = {}
+    for file in files if len(files) > 1 else ():
+        found = file.stat()
+        first = places.setdefault((found.st_dev, found.st_ino), file)
+        if first is not file and found.st_ino:
+            raise LogError(f"expected each file once, found {first.name} and {file.name} are one")
+
+
 class NoMcapError(LogError):
     """Error of a SQLite file that shows no damage where MCAP is required."""
 

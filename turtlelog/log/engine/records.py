@@ -65,6 +65,10 @@ HEADING: Final = np.dtype([*HEADING_FIELDS])
 MESSAGE_HEAD: Final = HEADING.itemsize
 """Bytes of a message record before its data."""
 
+
+FRONT: Final = struct.Struct("<BQHIQQ4s")
+"""Front of a record: opcode, length, channel, sequence, log and publish time, encapsulation."""
+
 COUNTED_HEAD: Final = MESSAGE_HEAD - RECORD.size
 """Bytes before the data that the record's length includes."""
 

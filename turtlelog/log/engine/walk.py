@@ -4,7 +4,6 @@ import struct
 import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import BinaryIO, Final
 
 import numpy as np
@@ -15,7 +14,7 @@ from turtlelog.errors import LogError
 from turtlelog.log.engine import limits, records
 from turtlelog.log.engine.limits import FileWindow
 from turtlelog.log.engine.records import RECORD
-from turtlelog.log.file_access import MCAP0_MAGIC, START_SIZE, find_wrong_start
+from turtlelog.log.file_access import MCAP0_MAGIC, START_SIZE, Loss, find_wrong_start
 
 CHUNK_HEAD: Final = struct.Struct("<QQQII")
 """Start and end time, unpacked size, checksum, and length of the compression's name."""
@@ -69,7 +68,6 @@ _RUNS: Final = frozenset({Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.
 _BOUND: Final = (Opcode.FOOTER, Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT)
 
 _BATCH: Final = 2**20  # bytes of consecutive records outside chunks that are returned together
-_LONGEST_NAME: Final = 64  # bytes of the name of a compression
 _LONE: Final = _RUNS | {Opcode.HEADER, Opcode.DATA_END}
 
 
@@ -95,21 +93,6 @@ class Section:
     def opcode(self) -> int:
         """Kind of the records; for records outside chunks, that of the first."""
         return Opcode.CHUNK if self.is_chunk else self.data[0]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Loss:
-    """A segment of a file that could not be read.
-
-    Attributes:
-        start: Offset of the first byte in the file.
-        end: Offset after the last byte; equal to `start` if bytes are missing there.
-        reason: Expected and found content, in one clause.
-    """
-
-    start: int
-    end: int
-    reason: str
 
 
 def walk_sections(stream: BinaryIO) -> Iterator[Section | Loss]:
@@ -266,9 +249,10 @@ def _read_chunk(window: FileWindow, place: int) -> tuple[list[Section | Loss], i
         raise LogError("expected a chunk, found the end of the file within its header")
     _, length = RECORD.unpack_from(head)
     _, _, size, checksum, name_size = CHUNK_HEAD.unpack_from(head, RECORD.size)
-    if name_size > _LONGEST_NAME:
+    if name_size > limits.LONGEST_COMPRESSION:
         raise LogError(f"expected a chunk, found a compression of {name_size} letters")
     rest = window.read(place + front, name_size + 8)
+    compression = rest[:-8].decode("utf-8", "replace")
     start = place + front + name_size + 8
     by_record = place + RECORD.size + length
     by_data = start + int.from_bytes(rest[-8:], "little")
@@ -285,8 +269,8 @@ def _read_chunk(window: FileWindow, place: int) -> tuple[list[Section | Loss], i
     for end in filter(lambda end: end in after or (checksum and window.spend(end - start)), ends):
         try:
             packed = window.read(start, end - start)
-            data = _unpack(window.allowance, rest[:-8].decode("utf-8", "replace"), packed, size)
-            _check_chunk(data, size, checksum, agree=agree and end == by_data)
+            data = limits.unpack_within(window.allowance, compression, packed, size)
+            limits.check_chunk(data, size, checksum, agree=agree and end == by_data)
         except LogError as err:
             reason = str(err)
             continue
@@ -302,23 +286,6 @@ def _read_chunk(window: FileWindow, place: int) -> tuple[list[Section | Loss], i
         raise LogError(reason)
     end = by_record if agree else after[0]
     return [Loss(start=place, end=end, reason=reason)], end
-
-
-def _unpack(allowance: limits.Allowance, compression: str, packed: bytes, size: int) -> bytes:
-    largest = allowance.largest_chunk
-    if compression and size > largest:
-        raise LogError(f"expected a chunk of up to {largest} bytes, found {size}")
-    if compression and not allowance.count_left(limits.UNPACKED):
-        allowance.spend(limits.UNPACKED)
-    spend = partial(allowance.spend, limits.UNPACKED)
-    return limits.unpack_chunk(compression, packed, size, largest=largest, spend=spend)
-
-
-def _check_chunk(data: bytes, size: int, checksum: int, *, agree: bool) -> None:
-    if checksum and (found := zlib.crc32(data)) != checksum:
-        raise LogError(f"expected a chunk with the checksum {checksum:#010x}, found {found:#010x}")
-    if not checksum and (len(data) != size or not agree):
-        raise LogError(f"expected a chunk of {size} bytes, found {len(data)} and no checksum")
 
 
 def _find_record_end(window: FileWindow, place: int) -> tuple[int, int]:

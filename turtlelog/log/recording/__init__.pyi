@@ -1,3 +1,4 @@
+from .head import PartialRecordingWarning as PartialRecordingWarning
 from .reader import (
     RecordingTail as RecordingTail,
     read_if_own as read_if_own,
@@ -5,4 +6,3 @@ from .reader import (
 )
 from .recorder import Recorder as Recorder
 from .run_writer import write_recording as write_recording
-from .topics import PartialRecordingWarning as PartialRecordingWarning

@@ -1,29 +1,45 @@
-"""Metadata of recordings: declaration, scenario and losses."""
+"""Metadata and contents of recordings, complete or not: declaration, topics and losses."""
 
 import zlib
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Final
+from functools import lru_cache, partial
+from typing import Any, BinaryIO, Final
 
 import msgspec
 import numpy as np
-from mcap.records import Metadata
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Metadata
 from numpy.typing import NDArray
 
 from turtlelog.display import describe_count, parse_utc
-from turtlelog.errors import LogError, RunError, ScenarioError
-from turtlelog.files.text_files import format_toml, parse_known_toml
+from turtlelog.errors import LogError, RunError
 from turtlelog.libraries import __version__
-from turtlelog.log.engine.walk import Loss
-from turtlelog.log.file_access import name_place
+from turtlelog.log.engine.blocks import build_walked_block, walk_through
+from turtlelog.log.engine.channels import Catalogue
+from turtlelog.log.engine.decode import (
+    LOG_TIME,
+    PUBLISH_TIME,
+    SEQUENCE,
+    Rows,
+    Selection,
+    read_piece,
+)
+from turtlelog.log.engine.limits import Allowance, measure_stored
+from turtlelog.log.engine.source import Source, salvage_summary
+from turtlelog.log.engine.topic_columns import TopicColumns, build_columns, collect_parts
+from turtlelog.log.file_access import DamageError, Loss, name_place
+from turtlelog.log.recording.topics import (
+    LAW_STATE,
+    TOPIC_NAMES,
+    USED_FIELDS,
+    check_type,
+    list_topics,
+    make_empty_topic,
+    plan_topic,
+)
 from turtlelog.run import Clock, Lost, Origin
 from turtlelog.run.loops import Declaration, format_declaration, parse_declaration
-from turtlelog.scenario import DEFAULT_LAW, nest_parameters
-
-if TYPE_CHECKING:
-    from turtlelog.run import Run
-
 
 HEAD: Final = "turtlelog"
 """Name of the metadata record."""
@@ -35,13 +51,13 @@ FORMAT_VERSION: Final = 2
 SCENARIO_FILE: Final = "scenario.toml"
 """Attachment with a complete scenario."""
 
-_PARAMETER_FILE: Final = "parameters.toml"
+PARAMETER_FILE: Final = "parameters.toml"
 """Attachment with the known values of a scenario."""
 
 _USUAL: Final = 2**13
 """Longest declaration that is cached [bytes]."""
 
-_LONGEST: Final = 2**18
+LONGEST_TEXT: Final = 2**18
 """Largest size of the record, and of an attachment, that is read [bytes]; turtlelog writes a few
 thousand. Parsing TOML takes several hundred bytes of memory per byte."""
 
@@ -54,11 +70,8 @@ MAY_BE_ABSENT: Final = (
 _REQUIRED: Final = object()
 """Value of entries that every record has."""
 
-_LONGEST_DECLARATION: Final = _LONGEST // 2
+_LONGEST_DECLARATION: Final = LONGEST_TEXT // 2
 """Largest declaration as JSON [bytes]; 250 names of 60 letters take 16 KiB."""
-
-_OTHER_LAW: Final = Declaration(phases=dict.fromkeys(("rotate", "pause", "translate", "done"), ()))
-"""Declaration of another law in format 1: the phases that every law had then."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,6 +109,14 @@ class Head:
     simulated_by: Mapping[str, str] = field(default_factory=dict)
 
 
+class ForeignFileError(LogError):
+    """A third-party file."""
+
+
+class PartialRecordingWarning(UserWarning):
+    """Warning that only a part of a recording could be read, as allowed by the caller."""
+
+
 def format_head(head: Head) -> dict[str, str]:
     """Return the metadata record. Entries that are None are omitted."""
     record = {
@@ -130,8 +151,8 @@ def format_head(head: Head) -> dict[str, str]:
 
 def parse_head(record: Mapping[str, str]) -> Head:
     """Return the metadata record of a recording."""
-    if (size := sum(len(key) + len(value) for key, value in record.items())) > _LONGEST:
-        raise LogError(f"metadata {HEAD}: expected up to {_LONGEST} bytes, found {size}")
+    if (size := sum(len(key) + len(value) for key, value in record.items())) > LONGEST_TEXT:
+        raise LogError(f"metadata {HEAD}: expected up to {LONGEST_TEXT} bytes, found {size}")
     version = _decode(record, "format_version", int)
     if version > FORMAT_VERSION:
         raise LogError(f"format version {version}: this turtlelog reads up to {FORMAT_VERSION}")
@@ -186,31 +207,6 @@ def lacks_values(name: str, values: NDArray[np.float64]) -> bool:
     return bool(unknown.size and is_unknown)
 
 
-def format_scenario_file(run: "Run") -> dict[str, bytes]:
-    """Return the attached TOML text by its name; nothing if no parameter is known."""
-    if not run.parameters and not run.scenario_is_complete:
-        return {}
-    try:
-        tables = nest_parameters(run.parameters)
-    except ScenarioError as err:
-        raise LogError(f"parameters: {err}") from err
-    name = SCENARIO_FILE if run.scenario_is_complete else _PARAMETER_FILE
-    return {name: format_toml(tables).encode()}
-
-
-def parse_scenario_file(attachments: Mapping[str, bytes]) -> tuple[dict[str, Any], bool]:
-    """Return the attached tables, and whether they are a complete scenario. No law is loaded."""
-    name = SCENARIO_FILE if SCENARIO_FILE in attachments else _PARAMETER_FILE
-    text = attachments.get(name, b"")
-    if len(text) > _LONGEST:
-        raise LogError(f"attachment {name}: expected up to {_LONGEST} bytes, found {len(text)}")
-    try:
-        tables = parse_known_toml(text.decode())
-    except ValueError as err:
-        raise LogError(f"attachment {name}: not TOML: {err}") from err
-    return tables, name in attachments and name == SCENARIO_FILE
-
-
 def sum_up_record(record: Mapping[str, str]) -> str:
     """Return the checksum of all entries except `CHECKSUM`."""
     rest = {key: value for key, value in sorted(record.items()) if key != CHECKSUM}
@@ -240,20 +236,6 @@ def _decode(
         return msgspec.json.decode(text, type=kind)
     except (msgspec.MsgspecError, RunError) as err:
         raise LogError(f"metadata {of}: {key}: {err}, found {text[:60]!r}") from err
-
-
-def declare_format1(tables: Mapping[str, Any], *, has_samples: bool) -> Declaration:
-    """Return the declaration of a law in format 1, which stores no declaration.
-
-    A missing law is the default one; without its name and samples, nothing is known.
-    """
-    from turtlelog.laws.sequential_p import DECLARATION as SEQUENTIAL_P
-
-    law = tables.get("law")
-    kind = law.get("kind") if isinstance(law, Mapping) else None
-    if kind is None and not has_samples:
-        return Declaration()
-    return SEQUENTIAL_P if kind is None or kind == DEFAULT_LAW else _OTHER_LAW
 
 
 RECOVERY: Final = "turtlelog_recovery"
@@ -315,3 +297,134 @@ def _describe(record: Mapping[str, str]) -> tuple[str, bool]:
     if len(lost) > 1:
         places.append(describe_count(len(lost) - 1, "more place"))
     return f"{count} ({', and '.join(places)})" if places else count, missing != {}
+
+
+_OWN: Final = Selection(topics=TOPIC_NAMES, is_lenient=True, is_flat=True, is_counted=True)
+_USED: Final = replace(
+    _OWN,
+    kept={name: frozenset((LOG_TIME, SEQUENCE, *fields)) for name, fields in USED_FIELDS.items()},
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Contents:
+    """Contents of a recording.
+
+    Attributes:
+        head: Metadata of the recording.
+        attachments: Attached bytes by name.
+        topics: Columns of every expected topic by name, empty without messages. In a complete file,
+            fields that no run needs are omitted, and log times replace publish times.
+        damages: Segments that could not be read; empty if the file is complete.
+        recovered: Note on earlier losses, if the file was recovered.
+        lost: What the file has lost.
+    """
+
+    head: Head
+    attachments: Mapping[str, bytes]
+    topics: dict[str, TopicColumns]
+    damages: tuple[Loss, ...] = ()
+    recovered: Mapping[str, str] = field(default_factory=dict)
+    lost: Lost = "nothing"
+
+
+def read_contents(stream: BinaryIO, *, may_be_foreign: bool = False) -> Contents:
+    """Return the contents of a recording, after checking all available checksums.
+
+    Damage of a third-party file is not suspected if it `may_be_foreign`.
+
+    Raises:
+        LogError: If the file is not MCAP, or a topic of turtlelog has another type.
+        ForeignFileError: If the file is a third-party file.
+        DamageError: If the file is unfinished or damaged.
+    """
+    source = Source(stream)
+    try:
+        contents = _read_source(source)
+    except DamageError:
+        raise
+    except LogError as err:
+        if may_be_foreign and isinstance(err, ForeignFileError):
+            raise
+        source.check_data()  # a wrong byte is the actual reason
+        raise
+    if source.is_indexed:  # last, because its error names no place
+        source.check_data()
+    return contents
+
+
+def _read_source(source: Source) -> Contents:
+    found: list[Any] = list(source.read_lone((Opcode.METADATA, Opcode.ATTACHMENT)))
+    head: Head | None = None
+    if source.is_indexed:
+        # First: messages of other programs or a newer turtlelog may have other types.
+        head = _find_head(found)
+    parts = collect_parts(source, _USED, lambda piece: found.extend(_keep_notes(piece.rest)))
+    for rows in (rows for of_topic in parts.values() for rows in of_topic):
+        rows[PUBLISH_TIME] = rows[LOG_TIME]
+    return build_contents(found, source.catalogue, parts, (), head)
+
+
+def _keep_notes(records: Iterable[Any]) -> list[Any]:
+    return [found for found in records if isinstance(found, Metadata | Attachment)]
+
+
+def salvage_contents(stream: BinaryIO) -> Contents:
+    """Return the readable contents of a damaged or unfinished recording."""
+    catalogue, damages = Catalogue(Allowance(measure_stored(stream))), list[Loss]()
+    parts: dict[str, list[Rows]] = {}
+    found: list[Any] = []
+    summary = salvage_summary(stream)
+    if summary is not None:
+        catalogue.add((*summary.schemas, *summary.channels), 0)
+    for block in walk_through(stream, partial(build_walked_block, catalogue), damages=damages):
+        found += _keep_notes(block.rest)
+        known = {number: block.offsets[number] for number in block.offsets if number in catalogue}
+        try:
+            piece = read_piece(catalogue, _OWN, block, known)
+        except LogError as err:
+            end = block.byte + len(block.data)
+            damages.append(Loss(start=block.byte, end=end, reason=str(err)))
+            continue
+        for number in block.offsets.keys() - known.keys():
+            reason = f"channel {number}: expected its record, found messages only"
+            damages.append(Loss(start=block.byte, end=block.byte, reason=reason))
+        for topic, rows in piece.rows.items():
+            parts.setdefault(topic, []).append(rows)
+    return build_contents(found, catalogue, parts, damages)
+
+
+def build_contents(
+    records: Collection[Any],
+    catalogue: Catalogue,
+    parts: Mapping[str, list[Rows]],
+    damages: Collection[Loss],
+    head: Head | None = None,
+) -> Contents:
+    """Return the contents from records outside chunks and the rows of topics in parts."""
+    head, tables = head or _find_head(records), dict[str, TopicColumns]()
+    states = () if head.declaration is None else head.declaration.states
+    # For an unfinished recording, its topics show its effects.
+    for topic in list_topics(head.declaration, more={*head.more_topics, *parts}):
+        own = states if topic.name == LAW_STATE else ()
+        if topic.name in catalogue.topics:
+            check_type(plan_topic(topic, own), catalogue.find_plan(topic.name))
+        rows = parts.get(topic.name) or [dict(make_empty_topic(topic, own))]
+        tables |= build_columns({topic.name: rows}, {topic.name: topic.schema})
+    recovered, lost = describe_recovery(records)
+    return Contents(
+        head=head,
+        attachments={found.name: found.data for found in records if isinstance(found, Attachment)},
+        topics=tables,
+        damages=tuple(damages),
+        recovered=recovered,
+        lost=lost,
+    )
+
+
+def _find_head(records: Collection[Any]) -> Head:
+    """Return the last metadata record: a live recording adds one with its stop reason."""
+    heads = [found for found in records if isinstance(found, Metadata) and found.name == HEAD]
+    if not heads:
+        raise ForeignFileError(f"not a recording of turtlelog: it has no metadata record {HEAD}")
+    return parse_head(heads[-1].metadata)

@@ -5,7 +5,6 @@ from collections.abc import Mapping
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Final, Self
 
 import numpy as np
@@ -30,25 +29,22 @@ from turtlelog.log.file_access import (
     name_file,
     open_file,
 )
-from turtlelog.log.file_info import survey_file
+from turtlelog.log.file_info import parse_scenario_file, survey_file
 from turtlelog.log.recording import topics
 from turtlelog.log.recording.head import (
     MAY_BE_ABSENT,
-    Head,
-    add_lost,
-    declare_format1,
-    describe_damages,
-    lacks_values,
-    parse_scenario_file,
-)
-from turtlelog.log.recording.topics import (
     Contents,
     ForeignFileError,
+    Head,
     PartialRecordingWarning,
+    add_lost,
     build_contents,
+    describe_damages,
+    lacks_values,
     read_contents,
     salvage_contents,
 )
+from turtlelog.log.recording.topics import reconcile_tables
 from turtlelog.run import (
     CommandColumns,
     Event,
@@ -59,7 +55,7 @@ from turtlelog.run import (
     find_greatest_loss,
 )
 from turtlelog.run.loops import Declaration
-from turtlelog.scenario import flatten_tables
+from turtlelog.scenario import DEFAULT_LAW, flatten_tables
 
 Values = NDArray[np.float64]
 
@@ -109,7 +105,7 @@ def _read_file(path: str | Path, *, allow_partial: bool, may_be_foreign: bool) -
             advice = f"turtlelog convert --recover {path} -o OUT rewrites what can be read"
             raise LogError(f"{damage}: {_NOTHING_LEFT if is_empty else advice}")
         try:
-            contents, dropped = reconcile_contents(salvage_contents(stream))
+            contents, dropped = _reconcile(salvage_contents(stream))
             lost: Lost = "rows" if contents.damages or dropped else "summary"
             lost = find_greatest_loss(contents.lost, lost)
             run = _build_part(replace(contents, lost=lost))
@@ -124,7 +120,7 @@ def _build_whole_run(contents: Contents) -> Run:
     """Return the run of a complete file. A recovered file may lack rows, and then has a note."""
     if not contents.recovered:
         return build_run(contents)
-    reconciled, dropped = reconcile_contents(contents)
+    reconciled, dropped = _reconcile(contents)
     notes = {name: text + dropped for name, text in contents.recovered.items()}
     lost: Lost = "rows" if dropped else contents.lost
     return _build_part(replace(reconciled, recovered=notes, lost=lost))
@@ -186,6 +182,24 @@ def build_run(contents: Contents) -> Run:
         origin=replace(head.origin, lost=find_greatest_loss(head.origin.lost, contents.lost)),
         notes={**head.notes, **contents.recovered},
     )
+
+
+_OTHER_LAW: Final = Declaration(phases=dict.fromkeys(("rotate", "pause", "translate", "done"), ()))
+"""Declaration of another law in format 1: the phases that every law had then."""
+
+
+def declare_format1(tables: Mapping[str, Any], *, has_samples: bool) -> Declaration:
+    """Return the declaration of a law in format 1, which stores no declaration.
+
+    A missing law is the default one; without its name and samples, nothing is known.
+    """
+    from turtlelog.laws.sequential_p import DECLARATION as SEQUENTIAL_P
+
+    law = tables.get("law")
+    kind = law.get("kind") if isinstance(law, Mapping) else None
+    if kind is None and not has_samples:
+        return Declaration()
+    return SEQUENTIAL_P if kind is None or kind == DEFAULT_LAW else _OTHER_LAW
 
 
 def _build_poses(columns: dict[str, TopicColumns], head: Head) -> PoseColumns:
@@ -342,96 +356,10 @@ def _unless_nan(head: Head, name: str, values: Column) -> Values | None:
     return None if name in head.nan_columns else values.astype(np.float64, copy=False)
 
 
-def reconcile_contents(contents: Contents) -> tuple[Contents, str]:
-    """Return contents with consistent rows, and a clause on the changes; empty without changes.
-
-    Poses are numbered from 0, and each sample contains the number of its pose. Rows that lack a
-    part are dropped, and the remaining poses are numbered anew. If no sample read a pose, it is
-    unknown whether the pose dropped out or its sensed values are lost.
-    """
-    tables, declaration = dict(contents.topics), contents.head.declaration
-    exact = topics.POSE64.name, topics.VELOCITY64.name, topics.MEASURED.name
-    pose_topics = [name for name in exact if name in tables and len(tables[name])]
-    pose_topics.insert(0, topics.POSE.name)
-    numbers = _intersect({name: tables[name] for name in pose_topics})
-    for name in pose_topics:
-        tables[name] = tables[name].select(np.isin(tables[name].sequence, numbers))
-    clauses, read = _reconcile_sensed(tables, numbers)
-    samples = tables[topics.CONTROL.name]
-    kept = samples.select(np.isin(samples.fields["pose_sequence"], read))
-    if declaration is not None:
-        kept = _take_described(kept, tables, declaration)
-    rows = np.searchsorted(numbers, kept.fields["pose_sequence"]).astype(np.uint32)
-    fields = MappingProxyType({**kept.fields, "pose_sequence": rows})
-    tables[topics.CONTROL.name] = replace(kept, fields=fields)
-    lost = len(samples) - len(kept)
-    if lost:
-        more = [name for topic, name in _MORE_OF_SAMPLES.items() if topic in tables]
-        whats = ", ".join(["pose", *more, "states or reference"])
-        clauses.insert(0, f"{lost} samples without their {whats} are dropped")
-    return replace(contents, topics=tables), "".join(f"; {clause}" for clause in clauses)
-
-
-_MORE_OF_SAMPLES: Final = {topics.SENSED.name: "sensed pose", topics.SHAPED.name: "shaped command"}
-"""Other messages of each sample, in runs with these topics."""
-
-
-def _reconcile_sensed(
-    tables: dict[str, TopicColumns], numbers: NDArray[np.uint32]
-) -> tuple[list[str], NDArray[np.uint32]]:
-    """Drop the sensed values of lost poses, and number the rest like the remaining poses.
-
-    Returns:
-        Clauses on the losses, and the numbers of poses that a sample may have read.
-    """
-    if topics.SENSED.name not in tables:
-        return [], numbers
-    names = [name for name in (topics.SENSED.name, topics.SENSED64.name) if len(tables[name])]
-    sensed = _intersect({name: tables[name] for name in names}) if names else numbers[:0]
-    both = np.intersect1d(sensed, numbers)
-    for name in names:
-        found = tables[name].select(np.isin(tables[name].sequence, both))
-        places = np.searchsorted(numbers, found.sequence).astype(np.uint32)
-        tables[name] = replace(found, sequence=places)
-    clauses = []
-    if lost := len(sensed) - len(both):
-        clauses.append(f"{lost} sensed poses without their pose are dropped")
-    if unknown := len(numbers) - len(both):
-        clauses.append(f"of {unknown} poses none was sensed, or what was sensed is lost")
-    return clauses, both
-
-
-def _take_described(
-    samples: TopicColumns, tables: dict[str, TopicColumns], declaration: Declaration
-) -> TopicColumns:
-    """Return the complete samples, and drop all rows of the other samples."""
-    for name in (topics.LAW_STATE, topics.SHAPED.name):
-        if name in tables:
-            is_there = np.isin(samples.fields["sequence"], tables[name].sequence)
-            samples = samples.select(is_there)
-    if declaration.has_reference:
-        # In these phases every sample has a reference pose.
-        moved = {loop.name for loop in declaration.loops if loop.moves}
-        phases = enumerate(declaration.phases.values())
-        numbers = [number for number, loops in phases if not moved.isdisjoint(loops)]
-        due = np.isin(samples.fields["phase"], numbers)
-        is_there = np.isin(samples.fields["sequence"], tables[topics.REFERENCE64.name].sequence)
-        samples = samples.select(is_there | ~due)
-    references = topics.REFERENCE.name, topics.REFERENCE64.name
-    for name in (topics.LAW_STATE, *references, topics.SHAPED.name):
-        if name in tables:
-            is_kept = np.isin(tables[name].sequence, samples.fields["sequence"])
-            tables[name] = tables[name].select(is_kept)
-    return samples
-
-
-def _intersect(tables: Mapping[str, TopicColumns]) -> NDArray[np.uint32]:
-    numbers = next(iter(tables.values())).sequence
-    for name, columns in tables.items():
-        if (columns.sequence[1:] <= columns.sequence[:-1]).any():
-            raise LogError(f"topic {name}: expected poses numbered in order, found others")
-        numbers = np.intersect1d(numbers, columns.sequence)
-    return numbers
+def _reconcile(contents: Contents) -> tuple[Contents, str]:
+    """Return contents with consistent rows, and a clause on the changes; empty without changes."""
+    tables, clause = reconcile_tables(contents.topics, contents.head.declaration)
+    return replace(contents, topics=tables), clause
 
 
 _ANY_SIZE: Final = 2**40  # bytes; the final size is unknown
@@ -497,7 +425,7 @@ class RecordingTail:
         # `build_contents` empties its parts, which are needed again here.
         parts = {topic: [dict(rows) for rows in found] for topic, found in self._parts.items()}
         contents = build_contents(self._records, self._catalogue, parts, ())
-        return build_run(reconcile_contents(contents)[0])
+        return build_run(_reconcile(contents)[0])
 
     def _take(self, section: Section) -> bool:
         """Add a section, and return whether it contains new data for a run."""

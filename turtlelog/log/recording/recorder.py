@@ -7,11 +7,9 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from math import isnan, nan
-from operator import attrgetter
 from os import fstat
 from os.path import samestat
 from pathlib import Path
-from struct import Struct
 from typing import Any, BinaryIO, Final, Self
 
 import numpy as np
@@ -19,11 +17,12 @@ from mcap.opcode import Opcode
 
 from turtlelog.errors import LogError
 from turtlelog.files.urls import RemotePath, make_path
-from turtlelog.log.engine.cdr import CODES, ENCAPSULATION, FRONT, encode_message
+from turtlelog.log.engine.blocks import ChunkRows
+from turtlelog.log.engine.cdr import ENCAPSULATION, encode_message
 from turtlelog.log.engine.message_types import read_type
-from turtlelog.log.engine.records import RECORD
-from turtlelog.log.file_access import mark_live, name_write_error
-from turtlelog.log.mcap_writer import ChunkRows, McapFile
+from turtlelog.log.engine.records import FRONT, RECORD
+from turtlelog.log.file_access import create_file, mark_live, name_write_error
+from turtlelog.log.mcap_writer import LIVE_CHUNK_BYTES, McapFile
 from turtlelog.log.recording import topics
 from turtlelog.log.recording.head import FORMAT_VERSION, HEAD, SCENARIO_FILE, Head, format_head
 from turtlelog.log.recording.run_writer import describe_pose, tabulate_event
@@ -34,19 +33,11 @@ from turtlelog.scenario import Scenario, format_scenario, resolve_scenario
 from turtlelog.simulate import SampleRow, Tick, declare_scenario, find_software
 from turtlelog.stop_signals import exit_on_terminate, hold_stop
 
-CHUNK_BYTES: Final = 2**16
-"""Approximate chunk size in a live recording [bytes]."""
-
 _FLUSH_S: Final = 1.0
 """Time after which a chunk is written even if it is not full, by the wall clock [s]."""
 
 _INTERRUPTIONS: Final = (KeyboardInterrupt, SystemExit)
 _NO_NOTES: Final[Mapping[str, str]] = {}
-
-
-def create_file(path: Path) -> BinaryIO:
-    """Create a new file and return it unbuffered."""
-    return path.open("xb", buffering=0)
 
 
 class Recorder:
@@ -127,7 +118,7 @@ class Recorder:
             self._oldest_s = now_s
         self._ticks.append(tick)
         self._size += measure_tick(tick)
-        if self._size >= CHUNK_BYTES or now_s - self._oldest_s >= self._flush_s:
+        if self._size >= LIVE_CHUNK_BYTES or now_s - self._oldest_s >= self._flush_s:
             self.flush()
 
     def flush(self) -> None:
@@ -258,44 +249,13 @@ class Recorder:
 
 
 _MESSAGE: Final = int(Opcode.MESSAGE)
-_REFERENCE_BYTES: Final = 160
-"""Approximate size of the two messages of a reference pose [bytes]."""
-
-_FIELDS: Final = [field for fields in topics.CONTROL_COLUMNS.values() for field in fields]
-_PLACES: Final = {
-    name: [_FIELDS.index(field) for field in topics.CONTROL_COLUMNS[name]]
-    for name in ("bearing_rad", "heading_error_rad", "error_xy_m", "distance_m")
-}
-"""Indices of the values in a sample's row that are missing without a goal."""
-
-_LIST: Final = attrgetter(
-    *("sequence", "pose_sequence", "phase", "bearing_rad", "heading_error_rad"),
-    *("error_x_m", "error_y_m", "distance_m", "wanted_speed_m_s", "wanted_turn_rate_rad_s"),
-    *("speed_m_s", "turn_rate_rad_s", "world_v_x_m_s", "world_v_y_m_s"),
-)
-"""Getter of a sample's recorded values, in the order of ControlSample's fields."""
-
-_WORLD: Final = slice(_FIELDS.index("world_v_x"), _FIELDS.index("world_v_y") + 1)
-
-
-def _build_struct(topic: topics.Topic, definitions: Mapping[str, str] = topics.SCHEMAS) -> Struct:
-    """Return a packer of complete records of a fixed-size type. CDR's padding becomes zeros."""
-    layout = read_type(topic.schema, definitions[topic.schema]).layout
-    if layout is None or layout.little.fields is None:
-        raise TypeError(f"{topic.schema}: expected messages of one size")
-    end, codes = FRONT.size, []
-    for name, kind in layout.kinds.items():
-        column, start = layout.little.fields[name][:2]
-        codes.append(f"{start - end}x{CODES[kind]}")
-        end = start + column.itemsize
-    return Struct(FRONT.format + "".join(codes))
 
 
 _FIXED: Final = (
     *(topics.POSE, topics.POSE64, topics.SENSED, topics.SENSED64),
     *(topics.CONTROL, topics.SHAPED, topics.COMMAND, topics.REFERENCE64),
 )
-_STRUCTS: Final = {topic: _build_struct(topic) for topic in _FIXED}
+_STRUCTS: Final = {topic: topics.build_packer(topic) for topic in _FIXED}
 _POSE_SIZE, _POSE64_SIZE, _CONTROL_SIZE, _COMMAND_SIZE = (
     _STRUCTS[topic].size for topic in (topics.POSE, topics.POSE64, topics.CONTROL, topics.COMMAND)
 )
@@ -308,7 +268,7 @@ def measure_tick(tick: Tick) -> int:
     size += sum(FRONT.size + 8 * len(states) for states in tick.states)
     for sample in tick.computed:
         size += _CONTROL_SIZE + (0 if isnan(sample.shaped_speed_m_s) else _COMMAND_SIZE)
-        size += 0 if isnan(sample.reference_x_m) else _REFERENCE_BYTES
+        size += 0 if isnan(sample.reference_x_m) else topics.REFERENCE_BYTES
     return size
 
 
@@ -348,7 +308,7 @@ class TickRecords:
         for number, topic in enumerate(listed, start=1):
             packer = _STRUCTS.get(topic, FRONT)
             if topic.name == topics.LAW_STATE:
-                packer = _build_struct(topic, definitions)
+                packer = topics.build_packer(topic, definitions)
             length = packer.size - RECORD.size
             self._messages[topic.name] = _Messages(number=number, pack=packer.pack, length=length)
         self._pose, self._pose64, self._control, self._command = (
@@ -411,7 +371,7 @@ class TickRecords:
             self._add(self._sensed64, time_ns, number, *values)
 
     def _add_sample(self, sample: SampleRow, states: tuple[float, ...]) -> None:
-        time_ns, row, sequence = sample.time_ns, _LIST(sample), sample.sequence
+        time_ns, row, sequence = sample.time_ns, topics.LIST_SAMPLE(sample), sample.sequence
         self._add(self._control, time_ns, sequence, *row)
         if self._states is not None:
             self._add(self._states, time_ns, sequence, *states)
@@ -424,10 +384,12 @@ class TickRecords:
             self._add(self._shaped, time_ns, sequence, *shaped)
         self._has_samples = True
         if not self._has_world:
-            self._has_world = not all(map(isnan, row[_WORLD]))
+            self._has_world = not all(map(isnan, row[topics.WORLD_PLACES]))
         if self._goal is None:
             self._lacking |= {
-                name for name, places in _PLACES.items() if any(isnan(row[at]) for at in places)
+                name
+                for name, places in topics.GOAL_PLACES.items()
+                if any(isnan(row[at]) for at in places)
             }
 
     def _follow_phase(self, sample: SampleRow) -> None:

@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.files.urls import make_path
-from turtlelog.log.engine.cdr import PackedItems
-from turtlelog.log.engine.message_types import Column, lay_out_alike, read_type
+from turtlelog.log.engine.message_types import Column, PackedItems, lay_out_alike, read_type
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.file_access import create_folder, name_write_error
-from turtlelog.log.file_info import METADATA_FILE, describe_bag
+from turtlelog.log.file_info import METADATA_FILE, describe_bag, format_scenario_file
 from turtlelog.log.mcap_writer import write_columns
 from turtlelog.log.read_choice import NOTES
 from turtlelog.log.recording import topics
@@ -24,7 +23,6 @@ from turtlelog.log.recording.head import (
     MAY_BE_ABSENT,
     Head,
     format_head,
-    format_scenario_file,
 )
 from turtlelog.run import Event, PoseColumns, Run, SampleColumns, require_run
 from turtlelog.run.loops import DONE, PAUSE

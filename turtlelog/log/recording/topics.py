@@ -1,36 +1,30 @@
-"""Topics of a recording: types with text and hash, and the contents of a file, complete or not."""
+"""Topics of a recording: types with text and hash, packed messages, and rows that fit together."""
 
 import json
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import lru_cache, partial
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import chain
-from typing import Any, BinaryIO, Final
+from operator import attrgetter
+from struct import Struct
+from types import MappingProxyType
+from typing import Final
 
-from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Metadata, Schema
+import numpy as np
+from mcap.records import Channel, Schema
+from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.blocks import build_walked_block, walk_through
-from turtlelog.log.engine.channels import Catalogue, TopicPlan, find_definition
+from turtlelog.log.engine.cdr import CODES
+from turtlelog.log.engine.channels import TopicPlan, find_definition
 from turtlelog.log.engine.decode import (
-    LOG_TIME,
-    PUBLISH_TIME,
-    SEQUENCE,
     Rows,
-    Selection,
     make_empty_rows,
-    read_piece,
 )
-from turtlelog.log.engine.limits import Allowance, measure_stored
 from turtlelog.log.engine.message_types import read_type
-from turtlelog.log.engine.source import Source, salvage_summary
-from turtlelog.log.engine.topic_columns import TopicColumns, build_columns, collect_parts
-from turtlelog.log.engine.walk import Loss
-from turtlelog.log.file_access import DamageError
-from turtlelog.log.recording.head import HEAD, Head, describe_recovery, parse_head
-from turtlelog.run import Lost
+from turtlelog.log.engine.records import FRONT
+from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.run.loops import Declaration
 from turtlelog.scenario import DEFAULT_LAW
 
@@ -282,146 +276,9 @@ def describe_topics(
 _MOST_PLANS: Final = 64
 """Number of cached topic layouts: those of every recording, and of the states of some laws."""
 
-_OWN: Final = Selection(topics=TOPIC_NAMES, is_lenient=True, is_flat=True, is_counted=True)
-_USED: Final = replace(
-    _OWN,
-    kept={name: frozenset((LOG_TIME, SEQUENCE, *fields)) for name, fields in USED_FIELDS.items()},
-)
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Contents:
-    """Contents of a recording.
-
-    Attributes:
-        head: Metadata of the recording.
-        attachments: Attached bytes by name.
-        topics: Columns of every expected topic by name, empty without messages. In a complete file,
-            fields that no run needs are omitted, and log times replace publish times.
-        damages: Segments that could not be read; empty if the file is complete.
-        recovered: Note on earlier losses, if the file was recovered.
-        lost: What the file has lost.
-    """
-
-    head: Head
-    attachments: Mapping[str, bytes]
-    topics: dict[str, TopicColumns]
-    damages: tuple[Loss, ...] = ()
-    recovered: Mapping[str, str] = field(default_factory=dict)
-    lost: Lost = "nothing"
-
-
-class ForeignFileError(LogError):
-    """A third-party file."""
-
-
-class PartialRecordingWarning(UserWarning):
-    """Warning that only a part of a recording could be read, as allowed by the caller."""
-
-
-def read_contents(stream: BinaryIO, *, may_be_foreign: bool = False) -> Contents:
-    """Return the contents of a recording, after checking all available checksums.
-
-    Damage of a third-party file is not suspected if it `may_be_foreign`.
-
-    Raises:
-        LogError: If the file is not MCAP, or a topic of turtlelog has another type.
-        ForeignFileError: If the file is a third-party file.
-        DamageError: If the file is unfinished or damaged.
-    """
-    source = Source(stream)
-    try:
-        contents = _read_source(source)
-    except DamageError:
-        raise
-    except LogError as err:
-        if may_be_foreign and isinstance(err, ForeignFileError):
-            raise
-        source.check_data()  # a wrong byte is the actual reason
-        raise
-    if source.is_indexed:  # last, because its error names no place
-        source.check_data()
-    return contents
-
-
-def _read_source(source: Source) -> Contents:
-    found: list[Any] = list(source.read_lone((Opcode.METADATA, Opcode.ATTACHMENT)))
-    head: Head | None = None
-    if source.is_indexed:
-        # First: messages of other programs or a newer turtlelog may have other types.
-        head = _find_head(found)
-    parts = collect_parts(source, _USED, lambda piece: found.extend(_keep_notes(piece.rest)))
-    for rows in (rows for of_topic in parts.values() for rows in of_topic):
-        rows[PUBLISH_TIME] = rows[LOG_TIME]
-    return build_contents(found, source.catalogue, parts, (), head)
-
-
-def _keep_notes(records: Iterable[Any]) -> list[Any]:
-    return [found for found in records if isinstance(found, Metadata | Attachment)]
-
-
-def salvage_contents(stream: BinaryIO) -> Contents:
-    """Return the readable contents of a damaged or unfinished recording."""
-    catalogue, damages = Catalogue(Allowance(measure_stored(stream))), list[Loss]()
-    parts: dict[str, list[Rows]] = {}
-    found: list[Any] = []
-    summary = salvage_summary(stream)
-    if summary is not None:
-        catalogue.add((*summary.schemas, *summary.channels), 0)
-    for block in walk_through(stream, partial(build_walked_block, catalogue), damages=damages):
-        found += _keep_notes(block.rest)
-        known = {number: block.offsets[number] for number in block.offsets if number in catalogue}
-        try:
-            piece = read_piece(catalogue, _OWN, block, known)
-        except LogError as err:
-            end = block.byte + len(block.data)
-            damages.append(Loss(start=block.byte, end=end, reason=str(err)))
-            continue
-        for number in block.offsets.keys() - known.keys():
-            reason = f"channel {number}: expected its record, found messages only"
-            damages.append(Loss(start=block.byte, end=block.byte, reason=reason))
-        for topic, rows in piece.rows.items():
-            parts.setdefault(topic, []).append(rows)
-    return build_contents(found, catalogue, parts, damages)
-
-
-def build_contents(
-    records: Collection[Any],
-    catalogue: Catalogue,
-    parts: Mapping[str, list[Rows]],
-    damages: Collection[Loss],
-    head: Head | None = None,
-) -> Contents:
-    """Return the contents from records outside chunks and the rows of topics in parts."""
-    head, tables = head or _find_head(records), dict[str, TopicColumns]()
-    states = () if head.declaration is None else head.declaration.states
-    # For an unfinished recording, its topics show its effects.
-    for topic in list_topics(head.declaration, more={*head.more_topics, *parts}):
-        own = states if topic.name == LAW_STATE else ()
-        if topic.name in catalogue.topics:
-            _check_type(_plan(topic, own), catalogue.find_plan(topic.name))
-        rows = parts.get(topic.name) or [dict(_make_empty_rows(topic, own))]
-        tables |= build_columns({topic.name: rows}, {topic.name: topic.schema})
-    recovered, lost = describe_recovery(records)
-    return Contents(
-        head=head,
-        attachments={found.name: found.data for found in records if isinstance(found, Attachment)},
-        topics=tables,
-        damages=tuple(damages),
-        recovered=recovered,
-        lost=lost,
-    )
-
-
-def _find_head(records: Collection[Any]) -> Head:
-    """Return the last metadata record: a live recording adds one with its stop reason."""
-    heads = [found for found in records if isinstance(found, Metadata) and found.name == HEAD]
-    if not heads:
-        raise ForeignFileError(f"not a recording of turtlelog: it has no metadata record {HEAD}")
-    return parse_head(heads[-1].metadata)
-
-
-def _check_type(expected: TopicPlan, found: TopicPlan) -> None:
+def check_type(expected: TopicPlan, found: TopicPlan) -> None:
+    """Refuse a topic of a recording with another type or other fields."""
     is_state = expected.topic == LAW_STATE
     # The type of the states may have any name; only the declared fields matter.
     if found.type != expected.type and not is_state:
@@ -436,12 +293,144 @@ def _check_type(expected: TopicPlan, found: TopicPlan) -> None:
 
 
 @lru_cache(maxsize=_MOST_PLANS)
-def _plan(topic: Topic, states: tuple[str, ...]) -> TopicPlan:
+def plan_topic(topic: Topic, states: tuple[str, ...]) -> TopicPlan:
+    """Return how the messages of a topic are read; `states` are those of the law, for its topic."""
     definition = define_states(states) if states else SCHEMAS[topic.schema]
     kind = read_type(topic.schema, definition)
     return TopicPlan(topic=topic.name, type=topic.schema, fields=kind.fields, layout=kind.layout)
 
 
 @lru_cache(maxsize=_MOST_PLANS)
-def _make_empty_rows(topic: Topic, states: tuple[str, ...]) -> Rows:
-    return make_empty_rows(_plan(topic, states))
+def make_empty_topic(topic: Topic, states: tuple[str, ...]) -> Rows:
+    """Return the columns of a topic without messages."""
+    return make_empty_rows(plan_topic(topic, states))
+
+
+def reconcile_tables(
+    topics: Mapping[str, TopicColumns], declaration: Declaration | None
+) -> tuple[dict[str, TopicColumns], str]:
+    """Return topics with consistent rows, and a clause on the changes; empty without changes.
+
+    Poses are numbered from 0, and each sample contains the number of its pose. Rows that lack a
+    part are dropped, and the remaining poses are numbered anew. If no sample read a pose, it is
+    unknown whether the pose dropped out or its sensed values are lost.
+    """
+    tables = dict(topics)
+    exact = POSE64.name, VELOCITY64.name, MEASURED.name
+    pose_topics = [name for name in exact if name in tables and len(tables[name])]
+    pose_topics.insert(0, POSE.name)
+    numbers = _intersect({name: tables[name] for name in pose_topics})
+    for name in pose_topics:
+        tables[name] = tables[name].select(np.isin(tables[name].sequence, numbers))
+    clauses, read = _reconcile_sensed(tables, numbers)
+    samples = tables[CONTROL.name]
+    kept = samples.select(np.isin(samples.fields["pose_sequence"], read))
+    if declaration is not None:
+        kept = _take_described(kept, tables, declaration)
+    rows = np.searchsorted(numbers, kept.fields["pose_sequence"]).astype(np.uint32)
+    fields = MappingProxyType({**kept.fields, "pose_sequence": rows})
+    tables[CONTROL.name] = replace(kept, fields=fields)
+    lost = len(samples) - len(kept)
+    if lost:
+        more = [name for topic, name in _MORE_OF_SAMPLES.items() if topic in tables]
+        whats = ", ".join(["pose", *more, "states or reference"])
+        clauses.insert(0, f"{lost} samples without their {whats} are dropped")
+    return tables, "".join(f"; {clause}" for clause in clauses)
+
+
+_MORE_OF_SAMPLES: Final = {SENSED.name: "sensed pose", SHAPED.name: "shaped command"}
+"""Other messages of each sample, in runs with these """
+
+
+def _reconcile_sensed(
+    tables: dict[str, TopicColumns], numbers: NDArray[np.uint32]
+) -> tuple[list[str], NDArray[np.uint32]]:
+    """Drop the sensed values of lost poses, and number the rest like the remaining poses.
+
+    Returns:
+        Clauses on the losses, and the numbers of poses that a sample may have read.
+    """
+    if SENSED.name not in tables:
+        return [], numbers
+    names = [name for name in (SENSED.name, SENSED64.name) if len(tables[name])]
+    sensed = _intersect({name: tables[name] for name in names}) if names else numbers[:0]
+    both = np.intersect1d(sensed, numbers)
+    for name in names:
+        found = tables[name].select(np.isin(tables[name].sequence, both))
+        places = np.searchsorted(numbers, found.sequence).astype(np.uint32)
+        tables[name] = replace(found, sequence=places)
+    clauses = []
+    if lost := len(sensed) - len(both):
+        clauses.append(f"{lost} sensed poses without their pose are dropped")
+    if unknown := len(numbers) - len(both):
+        clauses.append(f"of {unknown} poses none was sensed, or what was sensed is lost")
+    return clauses, both
+
+
+def _take_described(
+    samples: TopicColumns, tables: dict[str, TopicColumns], declaration: Declaration
+) -> TopicColumns:
+    """Return the complete samples, and drop all rows of the other samples."""
+    for name in (LAW_STATE, SHAPED.name):
+        if name in tables:
+            is_there = np.isin(samples.fields["sequence"], tables[name].sequence)
+            samples = samples.select(is_there)
+    if declaration.has_reference:
+        # In these phases every sample has a reference pose.
+        moved = {loop.name for loop in declaration.loops if loop.moves}
+        phases = enumerate(declaration.phases.values())
+        numbers = [number for number, loops in phases if not moved.isdisjoint(loops)]
+        due = np.isin(samples.fields["phase"], numbers)
+        is_there = np.isin(samples.fields["sequence"], tables[REFERENCE64.name].sequence)
+        samples = samples.select(is_there | ~due)
+    references = REFERENCE.name, REFERENCE64.name
+    for name in (LAW_STATE, *references, SHAPED.name):
+        if name in tables:
+            is_kept = np.isin(tables[name].sequence, samples.fields["sequence"])
+            tables[name] = tables[name].select(is_kept)
+    return samples
+
+
+def _intersect(tables: Mapping[str, TopicColumns]) -> NDArray[np.uint32]:
+    numbers = next(iter(tables.values())).sequence
+    for name, columns in tables.items():
+        if (columns.sequence[1:] <= columns.sequence[:-1]).any():
+            raise LogError(f"topic {name}: expected poses numbered in order, found others")
+        numbers = np.intersect1d(numbers, columns.sequence)
+    return numbers
+
+
+_CONTROL_FIELDS: Final = [field for fields in CONTROL_COLUMNS.values() for field in fields]
+GOAL_PLACES: Final = {
+    name: [_CONTROL_FIELDS.index(field) for field in CONTROL_COLUMNS[name]]
+    for name in ("bearing_rad", "heading_error_rad", "error_xy_m", "distance_m")
+}
+"""Indices of the values in a sample's row that are missing without a goal."""
+
+
+REFERENCE_BYTES: Final = 160
+"""Approximate size of the two messages of a reference pose [bytes]."""
+
+LIST_SAMPLE: Final = attrgetter(
+    *("sequence", "pose_sequence", "phase", "bearing_rad", "heading_error_rad"),
+    *("error_x_m", "error_y_m", "distance_m", "wanted_speed_m_s", "wanted_turn_rate_rad_s"),
+    *("speed_m_s", "turn_rate_rad_s", "world_v_x_m_s", "world_v_y_m_s"),
+)
+"""Getter of a sample's recorded values, in the order of ControlSample's fields."""
+
+WORLD_PLACES: Final = slice(
+    _CONTROL_FIELDS.index("world_v_x"), _CONTROL_FIELDS.index("world_v_y") + 1
+)
+
+
+def build_packer(topic: Topic, definitions: Mapping[str, str] = SCHEMAS) -> Struct:
+    """Return a packer of complete records of a fixed-size type. CDR's padding becomes zeros."""
+    layout = read_type(topic.schema, definitions[topic.schema]).layout
+    if layout is None or layout.little.fields is None:
+        raise TypeError(f"{topic.schema}: expected messages of one size")
+    end, codes = FRONT.size, []
+    for name, kind in layout.kinds.items():
+        column, start = layout.little.fields[name][:2]
+        codes.append(f"{start - end}x{CODES[kind]}")
+        end = start + column.itemsize
+    return Struct(FRONT.format + "".join(codes))

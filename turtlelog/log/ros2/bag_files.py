@@ -16,7 +16,7 @@ from turtlelog.display import split_numbers
 from turtlelog.errors import LogError
 from turtlelog.files.text_files import iterate_lines
 from turtlelog.files.urls import make_path
-from turtlelog.log.engine.opening import BAG_SUFFIXES
+from turtlelog.log.engine.opening import BAG_SUFFIXES, require_one_storage
 from turtlelog.log.file_access import name_file, open_file
 from turtlelog.log.file_info import (
     METADATA_FILE,
@@ -272,7 +272,7 @@ def find_bag_files(path: str | Path) -> BagFiles:
         with name_file(path / METADATA_FILE, expected="the description of a bag"):
             found = _find_named(path, metadata, present)
     with name_file(path, expected="a bag"):
-        _require_sound(found.files)
+        require_one_storage(found.files)
     if metadata is None:
         _require_one_bag(path, found.files)
     return found
@@ -407,19 +407,6 @@ def _find_break(files: tuple[Path, ...]) -> str | None:
             unit, unit_s = next(one for one in _UNITS_S if gap_ns >= 2e9 * one[1])
             return f"{second} begins {gap_ns / 1e9 / unit_s:.0f} {unit} after {first} ends"
     return None
-
-
-def _require_sound(files: tuple[Path, ...]) -> None:
-    """Refuse SQLite beside MCAP files, which no recorder writes, and a file with two names."""
-    if len({".db3" in file.suffixes for file in files}) > 1:
-        names = ", ".join(file.name for file in files)
-        raise LogError(f"expected files of one storage, found MCAP beside SQLite: {names[:200]}")
-    places: dict[tuple[int, int], Path] = {}
-    for file in files if len(files) > 1 else ():
-        found = file.stat()
-        first = places.setdefault((found.st_dev, found.st_ino), file)
-        if first is not file and found.st_ino:
-            raise LogError(f"expected each file once, found {first.name} and {file.name} are one")
 
 
 def read_bag_info(path: str | Path) -> RecordingInfo:

@@ -32,9 +32,8 @@ from turtlelog.log.recording.topics import MEASURED, SHAPED, VELOCITY64
 from turtlelog.log.ros2 import bag_topics
 from turtlelog.log.ros2.bag_poses import PoseSource, RobotTrack, read_tree
 from turtlelog.log.ros2.bag_rows import Bag, Held, OrderedRows, drop_not_finite, order_topic
-from turtlelog.log.ros2.bag_transforms import locate_frame, name_frame
+from turtlelog.log.ros2.bag_transforms import bring_over, name_frame
 from turtlelog.run import CommandColumns, Run
-from turtlelog.run.angles import rotate_vectors
 from turtlelog.run.paths import LEAST_M, MOST_POINTS, Path
 
 _NO_COMMANDS: Final = frozenset({VELOCITY64.name, SHAPED.name, MEASURED.name})
@@ -56,6 +55,9 @@ _COMMAND_NAMES: Final = (
 _CONTROLLER: Final = re.compile(r"(?:\w*_)?(?:velocity|drive|base|steering)_controller")
 _SOURCE: Final = re.compile(r"(?:\w*_)?(?:joy|joystick|teleop|key|keyboard)(?:_\w*)?")
 """Namespaces of a base's last stage, and of a person's commands, its first: they name no robot."""
+
+_NUMBERED: Final = re.compile(r"\d")
+_OF_POSES: Final = re.compile(r"odom|pose|locali")
 
 _WHOLE: Final = re.compile(r"(?:global_)?(?:plan|path)|reference(?:_path)?")
 _LOCAL: Final = re.compile(r"local|transformed|received|trace|history|trail|driven")
@@ -165,6 +167,20 @@ def _take_stage(topic: str) -> tuple[str, int]:
     ]
     stage = 1 if len(left) == len(words) - 1 else 2 * any(map(_SOURCE.fullmatch, words[:-1]))
     return "/".join([*left, words[-1]]), stage
+
+
+def describe_other_robot(pose_topic: str, command_topic: str) -> str:
+    """Return a sentence on commands in a namespace that is not that of the poses; else nothing.
+
+    Poses in no namespace, or that of an estimator, belong to any robot without a number.
+    """
+    own = _take_stage(command_topic)[0].split("/")[1:-1]
+    home = [word for word in pose_topic.split("/")[1:-1] if not _OF_POSES.search(word)]
+    has_robot = bool(home) or any(map(_NUMBERED.search, own))
+    if not own or not has_robot or not {*own}.isdisjoint(home):
+        return ""
+    where = f"the poses on {pose_topic} are not in that namespace"
+    return f"the commands on {command_topic} may be another robot's, as {where}"
 
 
 def order_commands(
@@ -315,7 +331,8 @@ def _find_goal(
         return {}, f"{topic}: left out: its position is no number", 0
     # The default of the message; programs without a goal heading leave it.
     has_heading = bool(np.isfinite(turn).all() and turn[0, :3].any())
-    moved = _bring_over(track, str(fields["header.frame_id"]), place_m, turn, time_ns)
+    frame = str(fields["header.frame_id"])
+    moved = bring_over(track.tree, track.frame, frame, place_m, turn, time_ns)
     if isinstance(moved, str):
         return {}, f"{topic}: left out: {moved}", 0
     place_m, ahead, how = moved
@@ -332,24 +349,6 @@ def _sort_rows(messages: Sequence[TopicColumns]) -> list[tuple[int, int, int]]:
         for number, columns in enumerate(messages)
         for row, time_ns in enumerate(columns.log_time_ns.tolist())
     )
-
-
-def _bring_over(
-    track: RobotTrack, frame: str, place_m: Values, turn: Values, time_ns: int
-) -> tuple[Values, Values, str] | str:
-    """Return positions and forward directions in the poses' frame, and the method; or why not."""
-    frame, ahead = frame.lstrip("/"), rotate_vectors(turn, np.tile([1.0, 0.0, 0.0], (len(turn), 1)))
-    if frame == track.frame:
-        return place_m, ahead, ""
-    if not frame or not track.frame:
-        nameless = "poses name" if frame else "it names"
-        return place_m, ahead, f", taken as in the frame of the poses, as {nameless} no frame"
-    found = locate_frame(track.tree, track.frame, frame, np.array([time_ns]))
-    if found is None:
-        return f"it is in {frame}, the poses in {track.frame}, and no transform joins the two then"
-    how = f", brought from {frame} to {track.frame} by the transforms of that time"
-    by = np.tile(found[1], (len(place_m), 1))
-    return found[0] + rotate_vectors(by, place_m), rotate_vectors(by, ahead), how
 
 
 def find_path(
@@ -428,7 +427,7 @@ def _read_points(
     place_m = place_m[np.isfinite(place_m).all(axis=1)]
     none = np.tile([0.0, 0.0, 0.0, 1.0], (len(place_m), 1))
     frame = frame or next((str(one["header.frame_id"]) for one in found), "")
-    moved = _bring_over(track, frame, place_m, none, time_ns)
+    moved = bring_over(track.tree, track.frame, frame, place_m, none, time_ns)
     return (np.zeros((0, 2)), moved) if isinstance(moved, str) else (moved[0][:, :2], "")
 
 

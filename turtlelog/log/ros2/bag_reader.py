@@ -118,6 +118,9 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
         )
         run = note_steps(run, bag.steps)
         run = replace(run, notes={**run.notes, "commands": lack}) if lack else run
+        if commands is not None and choice.command_topic is None:
+            doubt = bag_inputs.describe_other_robot(source.home, commands.topic.topic)
+            run = replace(run, notes={**run.notes, "other_robot": doubt}) if doubt else run
         run = bag_inputs.add_references(run, bag, source, track, choice)
         if source.topic.topic == POSE.name:
             run = _add_samples(run, bag, int(track.time_ns[0] - run.poses.time_ns[0]))

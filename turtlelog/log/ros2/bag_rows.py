@@ -221,7 +221,7 @@ def order_topic(
     )
 
 
-_LARGEST: Final = 1e30
+LARGEST: Final = 1e30
 """Largest plausible value [m, m/s, rad/s]: larger values come from memory that was never set. The
 fourth powers of smaller values, and the 32-bit numbers of pictures, are finite."""
 
@@ -230,7 +230,7 @@ def drop_not_finite(rows: OrderedRows, names: Collection[str]) -> tuple[OrderedR
     """Return the rows with usable numbers in columns of these names, and the number of others."""
     kept = np.ones(len(rows.time_ns), dtype=np.bool_)
     for name in names:
-        kept &= np.abs(rows.columns[name]) <= _LARGEST  # nan is not
+        kept &= np.abs(rows.columns[name]) <= LARGEST  # nan is not
     if kept.all():
         return rows, 0
     return rows.take(kept), int((~kept).sum())

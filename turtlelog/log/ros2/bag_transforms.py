@@ -15,7 +15,12 @@ from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.planar_poses import FRAME_TRANSFORM, TRANSFORMS, Values
 from turtlelog.log.ros2.bag_topics import list_numbers
 from turtlelog.log.ros2.stamps import TimesNs
-from turtlelog.run.angles import compose_transforms, interpolate_rotation, invert_transform
+from turtlelog.run.angles import (
+    compose_transforms,
+    interpolate_rotation,
+    invert_transform,
+    rotate_vectors,
+)
 
 TRANSFORM: Final = "geometry_msgs/msg/TransformStamped"
 
@@ -418,3 +423,21 @@ def build_link_columns(link: Link, topic: str) -> TopicColumns:
             **{name: np.ascontiguousarray(values) for name, values in numbers},
         },
     )
+
+
+def bring_over(
+    tree: Tree, home: str, frame: str, place_m: Values, turn: Values, time_ns: int
+) -> tuple[Values, Values, str] | str:
+    """Return positions and forward directions in the poses' frame, and the method; or why not."""
+    frame, ahead = frame.lstrip("/"), rotate_vectors(turn, np.tile([1.0, 0.0, 0.0], (len(turn), 1)))
+    if frame == home:
+        return place_m, ahead, ""
+    if not frame or not home:
+        nameless = "poses name" if frame else "it names"
+        return place_m, ahead, f", taken as in the frame of the poses, as {nameless} no frame"
+    found = locate_frame(tree, home, frame, np.array([time_ns]))
+    if found is None:
+        return f"it is in {frame}, the poses in {home}, and no transform joins the two then"
+    how = f", brought from {frame} to {home} by the transforms of that time"
+    by = np.tile(found[1], (len(place_m), 1))
+    return found[0] + rotate_vectors(by, place_m), rotate_vectors(by, ahead), how

@@ -215,6 +215,21 @@ def take_courses(time_ns: TimesNs, xy_m: Values, reason: str) -> tuple[Values, s
     return courses_rad, _describe_courses(reason, way_m, held, len(xy_m))
 
 
+def take_asked_courses(
+    time_ns: NDArray[np.int64], x_m: Values, y_m: Values
+) -> tuple[Values, dict[str, str]]:
+    """Return courses as headings, NaN without a place, and a note on them."""
+    heading_rad = np.full(len(x_m), np.nan)
+    placed = np.flatnonzero(np.isfinite(x_m) & np.isfinite(y_m))
+    xy_m = np.column_stack([x_m, y_m])[placed]
+    if not len(placed):
+        return heading_rad, {}
+    heading_rad[placed], told = take_courses(time_ns[placed], xy_m, "asked for")
+    if not np.isfinite(heading_rad).any():
+        raise LogError("--column heading=course: the robot moves too little for a course")
+    return heading_rad, {"heading": told}
+
+
 def judge_headings(
     poses: OrderedRows, commands: OrderedRows | None, reports_sideways: Callable[[], bool]
 ) -> tuple[OrderedRows, dict[str, str], bool]:

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.display import join_words
+from turtlelog.display import describe_count, join_words
 from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.planar_poses import Values, extract_poses
@@ -399,6 +399,18 @@ def find_runs(time_ns: NDArray[np.int64]) -> list[slice]:
         head = None if end - start >= _FEWEST_ROWS else head
         low, high = min(low, begin), max(high, last)
     return [*found, slice(first, len(time_ns))]
+
+
+def describe_restart(runs: Sequence[slice], number: int, word: str, lines: Sequence[int]) -> str:
+    """Return which run of a table is read, with the `lines` of rows, called by a `word`."""
+    rows = runs[number - 1]
+    left = sum(run.stop - run.start for run in runs) - (rows.stop - rows.start)
+    return (
+        f"run {number} of {len(runs)} in the table is read, {word}s"
+        f" {lines[rows.start]} to {lines[rows.stop - 1]}; times start again at {word}"
+        f" {lines[runs[1].start]}, and {describe_count(left, 'row')} are left out: save each"
+        " run to a file of its own"
+    )
 
 
 DAY_NS: Final = 86_400_000_000_000

@@ -408,11 +408,21 @@ CROWDED_NS: Final = 10_000
 """Usual time between poses below which the times are wrong [ns]; motion capture takes 100 us."""
 
 
-def note_crowded(time_ns: NDArray[np.int64]) -> dict[str, str]:
-    """Return a note on poses that are too close in time for a sensor, if they are."""
+def note_crowded(time_ns: NDArray[np.int64], *, may_be_rounded: bool = False) -> dict[str, str]:
+    """Return a note on poses that are too close in time for a sensor, if they are.
+
+    Times of a table may be rounded; equal ones are 1 ns apart.
+    """
     steps_ns = np.diff(time_ns)
     if len(time_ns) < 3 or 2 * np.count_nonzero(steps_ns < CROWDED_NS) <= len(steps_ns):
         return {}
+    same = int(np.count_nonzero(steps_ns == 1)) if may_be_rounded else 0
+    if 2 * same > len(time_ns):
+        text = (
+            f"{same} of {len(time_ns)} poses have the time of the pose before, and all rates are"
+            " wrong: save times with all their digits"
+        )
+        return {"crowded": text}
     span = format_short(float(time_ns[-1] - time_ns[0]) / 1e9, "s")
     text = f"all {len(time_ns)} poses lie within {span}: their times, and all rates, are wrong"
     return {"crowded": text}
