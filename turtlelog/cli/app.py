@@ -152,7 +152,7 @@ app = App(
 )
 
 
-_PLACES: Final = {"list": "list_names:list_", "demo": "run:demo"}
+_PLACES: Final = {"list": "list_names:list_"}
 """Module and function of commands that have no module of their name."""
 
 

@@ -287,7 +287,7 @@ def _check_into_table(
     topics: options.ReadingOptions,
 ) -> "Iterator[tl.check.CheckResult]":
     """Return the results of files. The table provides the results of unchanged files."""
-    from turtlelog.check.judge_run import plan_verdict_table, read_verdicts
+    from turtlelog.check.verdict_files import plan_verdict_table, read_verdicts
 
     given = {f"--{name}": getattr(reports, name) for name in ("junit", "artifacts", "report")}
     options.refuse_given(given, "leave out --output, which does not read unchanged files")
@@ -324,7 +324,7 @@ def _check_all(
     spec: "tl.Spec", files: Sequence[Path], reports: ReportOptions, topics: options.ReadingOptions
 ) -> "Iterator[tl.check.CheckResult]":
     """Yield the results of files, and write the requested files next to the answer."""
-    from turtlelog.check.judge_run import format_junit
+    from turtlelog.check.verdict_files import format_junit
 
     if reports.scheduler is not None and reports.report is not None:
         raise UsageError("--report: leave out --scheduler")
