@@ -1,4 +1,4 @@
-"""Functions of numbers that control laws, plants and effects may call, plain and compiled.
+"""Functions and numbers of loops: what laws, plants and effects may call, plain and compiled.
 
 Compiled loops run the same source, except for the functions that `simulate/compiled_twins.py`
 replaces by others with the same values.
@@ -24,6 +24,10 @@ fmod = math.fmod
 
 floor, ceil = math.floor, math.ceil
 """Whole numbers. In compiled code, whole numbers are floats, so that no large value overflows."""
+
+SETTLING_BAND: Final = 0.02
+"""Half-width of the settling band, as a share of the step: the textbooks' 2 %, which an exponential
+reaches after 3.91 time constants."""
 
 GAUSS_LEGENDRE: Final = (
     (0.019855071751231912, 0.05061426814518853),

@@ -9,6 +9,7 @@ position in its `Literal`, a missing value by NaN or -1.
 
 import dataclasses
 import math
+import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
@@ -297,3 +298,17 @@ class PlantPart:
     delays: tuple[str, ...] = ()
     causes: tuple[Cause, ...] = ()
     added: tuple[str, ...] = ()
+
+
+def split_key_unit(key: str) -> tuple[str, str]:
+    """Return a key without the unit at the end of its name, and the unit; empty if it has none."""
+    found = _UNIT.search(key)
+    if found is None:
+        return key, ""
+    unit = found[1].replace("_s", "/s", 1) if found[1] != "s" else "s"
+    return key[: found.start()], _POWER.sub(r"^\1", unit)
+
+
+_UNIT: Final = re.compile(r"_((?:m|rad)(?:_s[23]?)?|s|ticks)$")
+
+_POWER: Final = re.compile(r"(\d)$")

@@ -15,7 +15,7 @@ import warnings
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from itertools import islice
 from pathlib import Path
 from types import MappingProxyType
@@ -23,7 +23,6 @@ from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
 
 from turtlelog.errors import ProcessError, RemoteError, describe_error, make_portable
 from turtlelog.files.urls import RemotePath, make_path
-from turtlelog.stop_signals import block_signals, find_signals
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor, Future
@@ -187,9 +186,13 @@ def start_pool(jobs: int) -> "Executor":
     return pool
 
 
+def find_signals(*names: str) -> tuple[signal.Signals, ...]:
+    """Return the signals with these names that exist, because Windows lacks some."""
+    return tuple(getattr(signal, name) for name in names if hasattr(signal, name))
+
+
 _OF_PARENT: Final = find_signals("SIGINT", "SIGHUP")
-"""Signals that reach all processes: Ctrl-C and the end of a terminal. The parent ends the
-others."""
+"""Signals that reach all processes: Ctrl-C and the end of a terminal. The parent ends others."""
 
 
 def _prepare_worker() -> None:
@@ -360,3 +363,16 @@ def _pickle_read_only_mappings() -> None:
 
 def _make_read_only(mapping: dict[Any, Any]) -> "MappingProxyType[Any, Any]":
     return MappingProxyType(mapping)
+
+
+@contextmanager
+def block_signals(numbers: Sequence[signal.Signals]) -> Iterator[None]:
+    """Block these signals in a process that is started, even before its first line."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    former = signal.pthread_sigmask(signal.SIG_BLOCK, numbers)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, former)

@@ -3,16 +3,12 @@
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from types import FrameType
 from typing import Any, Final
 
-
-def find_signals(*names: str) -> tuple[signal.Signals, ...]:
-    """Return the signals with these names that exist, because Windows lacks some."""
-    return tuple(getattr(signal, name) for name in names if hasattr(signal, name))
-
+from turtlelog.processes import find_signals
 
 _KEYBOARD: Final = find_signals("SIGINT", "SIGQUIT")
 _REQUESTS: Final = find_signals("SIGTERM", "SIGHUP")
@@ -69,19 +65,6 @@ def interrupt_on_quit() -> Iterator[None]:
     """Make SIGQUIT act like Ctrl-C if the default action of SIGQUIT is set."""
     with _handle_signals(signal.default_int_handler, _find_defaults(find_signals("SIGQUIT"))):
         yield
-
-
-@contextmanager
-def block_signals(numbers: Sequence[signal.Signals]) -> Iterator[None]:
-    """Block these signals in a process that is started, even before its first line."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    former = signal.pthread_sigmask(signal.SIG_BLOCK, numbers)
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, former)
 
 
 def _find_defaults(numbers: Iterable[signal.Signals]) -> list[signal.Signals]:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import turtlelog as tl
-from turtlelog.scenario.model import split_key_unit
+from turtlelog.parts import split_key_unit
 from turtlelog.sweep import ResultColumn, ResultTable, SweepPlan, build_plan, write_result_table
 from turtlelog.sweep.result_table import choose_type
 

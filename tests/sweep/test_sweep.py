@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 
 import turtlelog as tl
+from turtlelog.parts import split_key_unit
 from turtlelog.scenario import resolve_scenario
-from turtlelog.scenario.model import split_key_unit
 from turtlelog.simulate.many import find_loop
 from turtlelog.sweep import (
     ResultTable,

@@ -5,6 +5,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
+from turtlelog.arithmetic import SETTLING_BAND
 from turtlelog.compare.table import Mark
 from turtlelog.display import describe_count, format_number, format_range, join_words, show_list
 from turtlelog.errors import CompareError, describe_unknown
@@ -13,7 +14,6 @@ from turtlelog.run import Run
 from turtlelog.run.angles import wrap_angle
 from turtlelog.run.paths import closes_by_itself
 from turtlelog.run.stop_reasons import allow_position
-from turtlelog.theory.continuous_loop import SETTLING_BAND
 
 if TYPE_CHECKING:
     from turtlelog.compare.run_summary import RunSummary

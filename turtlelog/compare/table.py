@@ -20,9 +20,9 @@ from turtlelog.display import (
     join_words,
 )
 from turtlelog.measure import Metric, Status
+from turtlelog.parts import split_key_unit
 from turtlelog.run.loops import RESERVED, ControlLoop, Declaration
 from turtlelog.run.tables import Tabular
-from turtlelog.scenario.model import split_key_unit
 
 if TYPE_CHECKING:
     from turtlelog.compare.run_summary import RunSummary

@@ -13,12 +13,12 @@ from typing import Final, get_args
 
 import numpy as np
 
+from turtlelog.arithmetic import SETTLING_BAND
 from turtlelog.identify import axis_fit
 from turtlelog.identify.axis_fit import EXTRA, GAIN, LAG, AxisFit
 from turtlelog.identify.axis_motion import AxisMotion, Parts, find_rests, split_motions
 from turtlelog.identify.held_response import COUPLED, LIMITED_WHEELS, Order, Structure, Values
 from turtlelog.identify.robot_noise import LEAST_STEP, RESTED_S, Whitening
-from turtlelog.theory.continuous_loop import SETTLING_BAND
 
 _ASKS: Final = 8.0
 """Possible decrease of the sum of squares from which a further parameter is tried, in variances;

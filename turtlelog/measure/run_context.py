@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final, Literal, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.arithmetic import SETTLING_BAND
 from turtlelog.errors import MeasureError
 from turtlelog.measure import rates
 from turtlelog.measure.dead_time import find_dead_time, take_beginning
@@ -25,7 +26,6 @@ from turtlelog.measure.response import Response, find_response
 from turtlelog.measure.signals import Signal, find_signal
 from turtlelog.run import Run
 from turtlelog.run.loops import ControlLoop, Declaration
-from turtlelog.theory.continuous_loop import SETTLING_BAND
 
 if TYPE_CHECKING:
     from turtlelog.measure.pose_noise import WhiteNoise

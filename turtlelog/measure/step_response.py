@@ -32,7 +32,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.arithmetic import compiled_as, least
+from turtlelog.arithmetic import SETTLING_BAND, compiled_as, least
 from turtlelog.measure.reductions import (
     PIECES,
     Values,
@@ -49,7 +49,6 @@ from turtlelog.measure.reductions import (
     find_rise_behind_peak,
     find_swing_ends,
 )
-from turtlelog.theory.continuous_loop import SETTLING_BAND
 
 RISE_BEGIN: Final = 0.1
 RISE_END: Final = 0.9

@@ -1,7 +1,6 @@
 """Scenario: everything that determines a run, frozen and typed."""
 
 import math
-import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields, make_dataclass
 from functools import cache, partial
@@ -253,17 +252,3 @@ def require_scenario(scenario: object) -> None:
     if not isinstance(scenario, Scenario):
         advice = "load_scenario returns the one of a preset or file"
         raise ScenarioError(f"scenario: expected a Scenario, found {scenario!r:.60}; {advice}")
-
-
-def split_key_unit(key: str) -> tuple[str, str]:
-    """Return a key without the unit at the end of its name, and the unit; empty if it has none."""
-    found = _UNIT.search(key)
-    if found is None:
-        return key, ""
-    unit = found[1].replace("_s", "/s", 1) if found[1] != "s" else "s"
-    return key[: found.start()], _POWER.sub(r"^\1", unit)
-
-
-_UNIT: Final = re.compile(r"_((?:m|rad)(?:_s[23]?)?|s|ticks)$")
-
-_POWER: Final = re.compile(r"(\d)$")

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import turtlelog.measure.metrics  # noqa: F401  (enters every metric in the registry)
-from turtlelog.arithmetic import called, to_float32
+from turtlelog.arithmetic import SETTLING_BAND, called, to_float32
 from turtlelog.errors import TurtlelogError
 from turtlelog.laws import LawPart, find_law
 from turtlelog.laws.sequential import SequentialNumbers
@@ -36,7 +36,6 @@ from turtlelog.simulate.many import find_loop
 from turtlelog.sweep import batch_kernel
 from turtlelog.sweep.batch_kernel import USES_OF_PATH, USES_OF_ROW, Memory, PathMemory, Row
 from turtlelog.sweep.sweep_plan import build_row_scenario
-from turtlelog.theory.continuous_loop import SETTLING_BAND
 
 CURVES: Final = {name: kind for name, kind in LOOP_METRICS.items() if kind.numbers is not None}
 """Metrics of a loop's curve by name, in column order."""

@@ -16,10 +16,10 @@ from turtlelog.errors import SimulationError, SweepError, TurtlelogError
 from turtlelog.files.urls import make_path
 from turtlelog.log.recording import write_recording
 from turtlelog.measure.metric import Metric
+from turtlelog.parts import split_key_unit
 from turtlelog.run import Run
 from turtlelog.run.loops import Declaration
 from turtlelog.scenario import Scenario, parse_scenario, resolve_scenario
-from turtlelog.scenario.model import split_key_unit
 from turtlelog.simulate import ManyRuns, declare_scenario
 from turtlelog.simulate.step_budget import STEP_BUDGET_S, StepBudgetError
 from turtlelog.sweep.batch import is_covered, measure_rows

@@ -13,6 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from turtlelog.arithmetic import SETTLING_BAND
 from turtlelog.errors import TheoryError
 from turtlelog.libraries import load_library
 from turtlelog.theory.process import (
@@ -30,10 +31,6 @@ PLANT: Final = ((1.0,), (1.0, 0.0))
 
 PLANT_INPUTS: Final = ("impulse", "step", "ramp")
 """Inputs of the paper's figure 2: a unit impulse, 1 and t, with the transforms 1, 1/s and 1/s^2."""
-
-SETTLING_BAND: Final = 0.02
-"""Half-width of the settling band, as a share of the step: the textbooks' 2 %, which an exponential
-reaches after 3.91 time constants."""
 
 SETTLING_TIME_CONSTANTS: Final = 4.0
 """Time constants in which an exponential settles, by the textbooks' rule: exp(-4) is 1.8 %."""

@@ -22,8 +22,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.arithmetic import SETTLING_BAND
 from turtlelog.libraries import load_library
-from turtlelog.theory.continuous_loop import SETTLING_BAND
 from turtlelog.theory.process import (
     require_count,
     require_dead_time,

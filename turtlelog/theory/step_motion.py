@@ -15,11 +15,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.arithmetic import clip
+from turtlelog.arithmetic import SETTLING_BAND, clip
 from turtlelog.effects.acceleration import Follower, follow_with_acceleration, follow_with_jerk
 from turtlelog.run import Parameter
 from turtlelog.run.loops import PLANT_KEYS, ControlLoop, read_number
-from turtlelog.theory.continuous_loop import SETTLING_BAND
 from turtlelog.theory.pid_stability import PidGains
 from turtlelog.theory.process import (
     INTEGRATOR,
