@@ -52,6 +52,8 @@ def test_a_table_is_read_and_says_what_it_took(tmp_path: Path) -> None:
         ("command_speed", "command_turn_rate"),
         ("/cmd_vel/linear/x", "/cmd_vel/angular/z"),
         ("cmd_vel.twist.linear.x", "cmd_vel.twist.angular.z"),
+        ("cmd_vx", "cmd_wz"),
+        ("Cmd lin [m/s]", "Cmd ang [rad/s]"),
     ],
 )
 def test_commands_are_told_from_what_is_measured(
@@ -62,6 +64,36 @@ def test_commands_are_told_from_what_is_measured(
     assert (run.commands.speed_m_s[0], run.commands.turn_rate_rad_s[0]) == (1.0, 2.0)
     assert run.poses.measured_speed_m_s == [3.0]
     assert run.poses.measured_turn_rate_rad_s == [4.0]
+
+
+@pytest.mark.parametrize(
+    ("names", "told"),
+    [
+        (
+            "v_set_mm_s,w_ref",
+            "v_set_mm_s and w_ref look like commands but are not read: --column"
+            " command_speed='v_set_mm_s' --column command_turn_rate='w_ref'",
+        ),
+        (
+            "cmd_w,desired_velocity",
+            "desired_velocity looks like commands but is not read: --column"
+            " command_speed='desired_velocity'",
+        ),
+        (
+            "left_wheel_cmd,x_ref",
+            "left_wheel_cmd looks like commands but is not read: --column command_speed=NAME and"
+            " --column command_turn_rate=NAME name columns of the robot's own rates",
+        ),
+        ("cmd_v,cmd_w,v_ref", None),
+        ("x_ref,theta_ref,speed_error,target_id", None),
+    ],
+)
+def test_columns_that_look_like_commands_are_named(
+    names: str, told: str | None, tmp_path: Path
+) -> None:
+    cells = range(len(names.split(",")))
+    run = read_run(write(tmp_path, f"t,x,y,yaw,{names}", *[(t, 1, 2, 0, *cells) for t in (0, 1)]))
+    assert run.notes.get("unread_commands") == told
 
 
 @pytest.mark.parametrize(

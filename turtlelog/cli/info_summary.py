@@ -423,9 +423,11 @@ def _format_hz(rate: float) -> str:
 
 
 def _list_missing(run: "tl.Run", info: "tl.log.RecordingInfo") -> "Iterator[str]":
-    """Yield the missing data of a bag. Commands cannot be added to a table without commands."""
+    """Yield the missing data of a file; of a table, commands only if columns look like them."""
     if len(run.samples):
         return
+    if tl.log.UNREAD_COMMANDS in run.notes:
+        yield f"commands: {run.notes[tl.log.UNREAD_COMMANDS]}"
     lacks = tl.compare.list_lacks(run)
     for lack in lacks:
         is_told = lack in tl.compare.UNLOCKS and tl.compare.can_unlock(lack, lacks)

@@ -16,7 +16,7 @@ from turtlelog.files.urls import make_path
 from turtlelog.log import planar_poses, table_columns
 from turtlelog.log.file_access import name_file
 from turtlelog.log.planar_poses import Values
-from turtlelog.log.read_choice import CHOSEN, RESTARTS
+from turtlelog.log.read_choice import CHOSEN, RESTARTS, UNREAD_COMMANDS
 from turtlelog.log.ros2.computed_poses import take_courses
 from turtlelog.log.ros2.reported_motion import describe_speed, describe_turning, describe_units
 from turtlelog.log.ros2.set_clocks import DAY_NS, count_midnights, find_runs
@@ -153,6 +153,7 @@ def _build_run(path: Path, cells: "Cells") -> Run:
     notes = {
         CHOSEN: cells.describe(),
         "columns": cells.describe(),
+        **({UNREAD_COMMANDS: unread} if (unread := cells.describe_unread_commands()) else {}),
         **({"original_timestamp": start} if start_ns else {}),
         **planar_poses.note_changes(changed),
         "moved_rows": str(moved),
@@ -404,6 +405,10 @@ class Cells:
             field = [*self._guesses][-1]
             text += f"; --column {field}='{self.chosen[field].name} [UNIT]' names another unit"
         return text
+
+    def describe_unread_commands(self) -> str:
+        """Return which unread columns look like commands; empty without such columns."""
+        return table_columns.describe_unread_commands(self.table.names, self.chosen)
 
     def require_turns(self) -> Sequence[Values]:
         """Return the columns of quaternions x, y, z, w. A length of 0 is refused."""
