@@ -376,6 +376,21 @@ _FASTEST_M_S: Final = 100.0
 """Largest usual speed that is not doubted in metres [m/s]: a racing car's, or 0.1 m/s in mm."""
 
 
+_SLOWEST_M_S: Final = 0.01
+_LEAST_EXTENT_M: Final = 0.1
+"""Speed below which a robot crawls for all of its way, which is not within its own noise, so that
+whole numbers of seconds are doubted [m/s, m]: slower than what counts as rest."""
+
+_CURVE_NS: Final = 500_000_000
+_STRONGEST_M_S2: Final = 30.0
+"""Time over which accelerations are measured [ns], and the largest that is not doubted in a tenth
+of it [m/s^2]: 3 g, twice that of a racing kart. 0.5 m/s and 1 rad/s in cm are 50 m/s^2."""
+
+_ACCELERATED: Final = 0.9
+_FEWEST_CURVES: Final = 12
+_SECOND_NS: Final = 1_000_000_000
+
+
 def describe_units(
     time_ns: NDArray[np.int64], xy_m: NDArray[np.float64], columns: Mapping[str, str] | None
 ) -> str:
@@ -402,7 +417,43 @@ def describe_units(
     if columns and {"x", "y"} <= {*columns} and usual_m_s > _FASTEST_M_S:
         option = " ".join(f"--column {axis}='{columns[axis]} [mm]'" for axis in "xy")
         return f"x and y are assumed to be in m, so {speed} is usual; if they are mm: {option}"
-    return ""
+    columns = columns or {}
+    return _describe_curves(time_ns, xy_m, columns) or _describe_crawl(time_ns, xy_m, columns)
+
+
+def _describe_curves(time_ns: TimesNs, xy_m: Values, columns: Mapping[str, str]) -> str:
+    """Return a sentence on positions whose accelerations no robot on the ground has in metres."""
+    rows = thin_rows(time_ns, _CURVE_NS)
+    if not {"x", "y"} <= {*columns} or len(rows) < _FEWEST_CURVES:
+        return ""
+    step_s = np.diff(time_ns[rows]) / 1e9
+    speeds_m_s = np.diff(xy_m[rows], axis=0) / step_s[:, np.newaxis]
+    change_m_s = np.hypot(*np.diff(speeds_m_s, axis=0).T)
+    strong = float(np.quantile(change_m_s / ((step_s[1:] + step_s[:-1]) / 2.0), _ACCELERATED))
+    if strong <= _STRONGEST_M_S2:
+        return ""
+    option = " ".join(f"--column {axis}='{columns[axis]} [cm]'" for axis in "xy")
+    found = (
+        f"x and y are assumed to be in m, so accelerations reach {format_short(strong, 'm/s^2')}"
+    )
+    return f"{found}; if they are cm (or mm): {option}"
+
+
+def _describe_crawl(time_ns: TimesNs, xy_m: Values, columns: Mapping[str, str]) -> str:
+    """Return a sentence on times in whole seconds in which a robot is never faster than rest."""
+    step_ns = np.diff(time_ns)
+    if "t" not in columns or (step_ns % _SECOND_NS).any() or not step_ns.all():
+        return ""
+    fastest_m_s = float(np.quantile(np.hypot(*np.diff(xy_m, axis=0).T) / (step_ns / 1e9), 0.99))
+    if fastest_m_s > _SLOWEST_M_S or float(np.ptp(xy_m, axis=0).max()) < _LEAST_EXTENT_M:
+        return ""
+    step, speed = (
+        format_short(float(np.median(step_ns)) / 1e9, "s"),
+        format_short(fastest_m_s, "m/s"),
+    )
+    option = f"--column t='{columns['t']} [ms]'"
+    slow = f"so poses are {step} apart and the robot drives at most {speed}"
+    return f"times are assumed to be in s, {slow}; if they are ms: {option}"
 
 
 def note_motion(
