@@ -375,8 +375,7 @@ every few seconds. In milliseconds, this is 200 Hz."""
 _FASTEST_M_S: Final = 100.0
 """Largest usual speed that is not doubted in metres [m/s]: a racing car's, or 0.1 m/s in mm."""
 
-
-_SLOWEST_M_S: Final = 0.01
+_CRAWL_M_S: Final = 0.01
 _LEAST_EXTENT_M: Final = 0.1
 """Speed below which a robot crawls for all of its way, which is not within its own noise, so that
 whole numbers of seconds are doubted [m/s, m]: slower than what counts as rest."""
@@ -445,7 +444,7 @@ def _describe_crawl(time_ns: TimesNs, xy_m: Values, columns: Mapping[str, str]) 
     if "t" not in columns or (step_ns % _SECOND_NS).any() or not step_ns.all():
         return ""
     fastest_m_s = float(np.quantile(np.hypot(*np.diff(xy_m, axis=0).T) / (step_ns / 1e9), 0.99))
-    if fastest_m_s > _SLOWEST_M_S or float(np.ptp(xy_m, axis=0).max()) < _LEAST_EXTENT_M:
+    if fastest_m_s > _CRAWL_M_S or float(np.ptp(xy_m, axis=0).max()) < _LEAST_EXTENT_M:
         return ""
     step, speed = (
         format_short(float(np.median(step_ns)) / 1e9, "s"),
