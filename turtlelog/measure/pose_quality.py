@@ -460,7 +460,38 @@ def _describe_resolution(run: Run, metrics: Mapping[str, Metric]) -> dict[str, s
     lead_s = -min((lag for axis in AXES if (lag := _get(metrics, f"run.{axis}_lag"))), default=0.0)
     # A robot without delays has a lag of 0 within half a step.
     leads = {"leads": format_short(lead_s, "s")} if lead_s > step_s else {}
-    return {"rate_step": format_short(1e3 * step_s, "ms"), **leads}
+    return {
+        "rate_step": format_short(1e3 * step_s, "ms"),
+        **leads,
+        **_describe_answers(run, metrics, step_s),
+    }
+
+
+def _describe_answers(run: Run, metrics: Mapping[str, Metric], step_s: float) -> dict[str, str]:
+    """Return notes on silences of commands, and on rise times that are too small, by name."""
+    from turtlelog.measure.metrics.following import find_rise_shortfall  # it needs this module
+    from turtlelog.measure.run_context import MeasureSettings, RunContext
+
+    held = [RunContext(run, MeasureSettings()).get_commands(axis) for axis in AXES]
+    silences_s = [one.silences_s for one in held if one is not None and len(one.silences_s)]
+    found = {}
+    if silences_s:
+        most = max(silences_s, key=len)
+        total = format_short(float(np.diff(most).sum()), "s")
+        found["silences"] = (
+            f"{describe_count(len(most), 'silence')} of the commands, {total} in all"
+        )
+    short_s = {
+        axis: find_rise_shortfall(run, axis)
+        for axis in AXES
+        if _get(metrics, f"run.{axis}_rise_time") is not None
+    }
+    said = [
+        f"{axis.replace('_', ' ')} by up to about {format_short(float(f'{short:.1g}'), 's')}"
+        for axis, short in short_s.items()
+        if short > 2.0 * step_s
+    ]
+    return found | ({"short_rises": join_words(said)} if said else {})
 
 
 def _describe_times(run: Run) -> dict[str, str]:
