@@ -51,6 +51,7 @@ class Paths:
         is_still: Whether the poses never move.
         by_poses: Sum of distances from pose to pose.
         by_strides: Sum of distances between poses 0.2 s apart.
+        by_medians: Sum of distances between the median poses of each second.
         by_speed: Integral of the magnitude of the reported velocity; None without reports.
         in_jumps: Sum of the excess of single steps over the reported velocity.
         by_commands: Integral of the magnitude of the commands; None without commands.
@@ -59,6 +60,7 @@ class Paths:
     is_still: bool
     by_poses: float
     by_strides: float
+    by_medians: float
     by_speed: float | None
     in_jumps: float
     by_commands: float | None
@@ -99,10 +101,20 @@ def measure_paths(
         is_still=bool((np.ptp(xy_m, axis=0) <= _STILL_M).all()),
         by_poses=float(way_m.sum()),
         by_strides=float(strides_m[np.diff(time_ns[rows]) <= _LONGEST_NS].sum()),
+        by_medians=_measure_medians(time_ns, xy_m),
         by_speed=None if driven_m is None else float(driven_m.sum()),
         in_jumps=float(jumps_m.sum()) if is_few else 0.0,
         by_commands=by_commands,
     )
+
+
+def _measure_medians(time_ns: TimesNs, xy_m: Values) -> float:
+    """Return the length through the median positions of each second: noise hardly adds to it."""
+    seconds = (time_ns - time_ns[0]) // _LONGEST_NS
+    starts = np.flatnonzero(np.diff(seconds, prepend=-1))
+    middles = (starts + np.append(starts[1:], len(seconds)) - 1) // 2
+    medians = np.column_stack([one[np.lexsort((one, seconds))][middles] for one in xy_m.T])
+    return float(np.hypot(*np.diff(medians, axis=0).T).sum())
 
 
 def thin_rows(time_ns: TimesNs, stride_ns: int) -> NDArray[np.int64]:
@@ -127,6 +139,8 @@ def describe_paths(paths: Paths, others: str | None = None) -> str | None:
         return None
     if not _differ(paths.by_poses, paths.by_speed):
         return None
+    if max(paths.by_medians, paths.by_speed) < _LEAST_M:
+        return None  # the robot turns in place, or rests, and its positions scatter
     by_poses, by_speed = (format_short(one, "m") for one in (paths.by_poses, paths.by_speed))
     found = f"the path is {by_poses} by the poses and {by_speed} by the reported speed"
     blamed, is_speed = _blame(paths, paths.by_speed)
@@ -161,7 +175,9 @@ def _blame(paths: Paths, by_speed: float) -> tuple[str, bool]:
             asked = format_short(paths.by_commands, "m")
             if off_m[0] > off_m[1]:
                 # Slipping wheels turn as commanded, and the odometry reports that.
-                return f"the poses are wrong or the wheels slip, as commands ask for {asked}", False
+                ratio = format_short(by_speed / paths.by_strides) if paths.by_strides else "far"
+                wrong = "the poses are wrong, the wheels slip, or the reported speed is"
+                return f"{wrong} {ratio} times the true one; commands ask for {asked}", False
             return f"the reported speed is more likely wrong, as commands ask for {asked}", True
     return "nothing tells which is wrong", False
 
