@@ -386,7 +386,10 @@ def _tell_jumps(run: Run, jumps: Sequence[PoseJump]) -> str:
     is_turn = largest.excess_m <= _JUMPED * way_m and beyond_s2[0] < beyond_s2[1]
     least_m, beyond = np.inf if is_turn else ROUNDING, ""
     parts = [f"{way:.3g} {name}" for name, way in zip(names, signed, strict=True) if way > least_m]
-    if abs(largest.turned_rad) > ROUNDING:
+    # What the robot turned as usual meanwhile is no part of a jump of its position.
+    if abs(largest.turned_rad) > ROUNDING and largest.excess_rad > _JUMPED * abs(
+        largest.turned_rad
+    ):
         parts.append(f"{np.degrees(largest.turned_rad):+.3g} deg")
     if abs(largest.excess_m - way_m) > _JUMPED * way_m and not is_turn:
         beyond = f", {largest.excess_m:.3g} m more than it drove"

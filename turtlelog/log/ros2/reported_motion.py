@@ -51,7 +51,7 @@ class Paths:
         is_still: Whether the poses never move.
         by_poses: Sum of distances from pose to pose.
         by_strides: Sum of distances between poses 0.2 s apart.
-        by_medians: Sum of distances between the median poses of each second.
+        by_medians: Sum of distances between the median poses of each second; None for a short time.
         by_speed: Integral of the magnitude of the reported velocity; None without reports.
         in_jumps: Sum of the excess of single steps over the reported velocity.
         by_commands: Integral of the magnitude of the commands; None without commands.
@@ -60,7 +60,7 @@ class Paths:
     is_still: bool
     by_poses: float
     by_strides: float
-    by_medians: float
+    by_medians: float | None
     by_speed: float | None
     in_jumps: float
     by_commands: float | None
@@ -108,9 +108,14 @@ def measure_paths(
     )
 
 
-def _measure_medians(time_ns: TimesNs, xy_m: Values) -> float:
+_FEWEST_SECONDS: Final = 3
+
+
+def _measure_medians(time_ns: TimesNs, xy_m: Values) -> float | None:
     """Return the length through the median positions of each second: noise hardly adds to it."""
     seconds = (time_ns - time_ns[0]) // _LONGEST_NS
+    if seconds[-1] < _FEWEST_SECONDS:
+        return None
     starts = np.flatnonzero(np.diff(seconds, prepend=-1))
     middles = (starts + np.append(starts[1:], len(seconds)) - 1) // 2
     medians = np.column_stack([one[np.lexsort((one, seconds))][middles] for one in xy_m.T])
@@ -139,7 +144,7 @@ def describe_paths(paths: Paths, others: str | None = None) -> str | None:
         return None
     if not _differ(paths.by_poses, paths.by_speed):
         return None
-    if max(paths.by_medians, paths.by_speed) < _LEAST_M:
+    if paths.by_medians is not None and max(paths.by_medians, paths.by_speed) < _LEAST_M:
         return None  # the robot turns in place, or rests, and its positions scatter
     by_poses, by_speed = (format_short(one, "m") for one in (paths.by_poses, paths.by_speed))
     found = f"the path is {by_poses} by the poses and {by_speed} by the reported speed"
@@ -175,7 +180,7 @@ def _blame(paths: Paths, by_speed: float) -> tuple[str, bool]:
             asked = format_short(paths.by_commands, "m")
             if off_m[0] > off_m[1]:
                 # Slipping wheels turn as commanded, and the odometry reports that.
-                ratio = format_short(by_speed / paths.by_strides) if paths.by_strides else "far"
+                ratio = f"{by_speed / max(paths.by_strides, _STILL_M):.2g}"
                 wrong = "the poses are wrong, the wheels slip, or the reported speed is"
                 return f"{wrong} {ratio} times the true one; commands ask for {asked}", False
             return f"the reported speed is more likely wrong, as commands ask for {asked}", True
