@@ -168,7 +168,9 @@ def name_kind(answer: "InfoAnswer") -> FileKind:
 
 
 def name_bag(answer: "InfoAnswer") -> str:
-    """Return the kind of a bag."""
+    """Return the kind of a bag; a file without types of ROS is none."""
+    if answer.source == "mcap" and not any("/msg/" in topic.type for topic in answer.topics):
+        return "MCAP file"
     return f"ROS {1 if answer.source == 'ros1' else 2} bag"
 
 

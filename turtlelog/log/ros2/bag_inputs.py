@@ -4,6 +4,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from typing import Any, Final
@@ -19,6 +20,7 @@ from turtlelog.log.planar_poses import (
     TWIST_TYPES,
     Fields,
     Values,
+    find_twist,
     read_twist,
     widen,
 )
@@ -79,6 +81,19 @@ _MOST_LOOKED_AT: Final = 50
 """Number of messages of a path that are compared with the robot's position. The median decides."""
 
 
+def find_commands(
+    bag: Bag, topics: Sequence[TopicInfo], choice: ReadChoice, *, pose_topic: str
+) -> tuple[bag_topics.Pick | None, str]:
+    """Return the topic of the commands by its type or its fields, or the reason for none."""
+    pick, lack = choose_commands(topics, choice, pose_topic=pose_topic)
+    if pick is None:
+        for topic in _list_named(topics):
+            with suppress(LogError):  # texts and lists: no commands
+                if any(find_twist(one.fields) is not None for one in bag.read_topic(topic.topic)):
+                    return bag_topics.Pick(topic=topic), ""
+    return pick, lack
+
+
 def choose_commands(
     topics: Sequence[TopicInfo], choice: ReadChoice, *, pose_topic: str
 ) -> tuple[bag_topics.Pick | None, str]:
@@ -105,11 +120,22 @@ def choose_commands(
 
 def _describe_unread(topics: Iterable[TopicInfo]) -> str:
     """Return the first topic that is named as commands and has another type; may be empty."""
-    for one in topics:
-        is_named = bag_topics.rank_name(one.topic, _COMMAND_NAMES) < len(_COMMAND_NAMES)
-        if is_named and one.count and not one.reason and one.type not in COMMAND_TYPES:
-            return f"commands on {one.topic}: {one.type} is not read, Twist and AckermannDrive are"
+    for one in _list_named(topics):
+        known = "Twist and AckermannDrive are"
+        if bag_topics.take_last(one.type) in {"Twist", "TwistStamped"}:
+            known = "its fields are not those of a Twist"
+        return f"commands on {one.topic}: {one.type} is not read, {known}"
     return ""
+
+
+def _list_named(topics: Iterable[TopicInfo]) -> list[TopicInfo]:
+    """Return readable topics of other types that are named as commands, the usual name first."""
+    ranks = {one.topic: bag_topics.rank_name(one.topic, _COMMAND_NAMES) for one in topics}
+    named = (
+        one for one in topics if one.count and not one.reason and one.type not in COMMAND_TYPES
+    )
+    fitting = [one for one in named if ranks[one.topic] < len(_COMMAND_NAMES)]
+    return sorted(fitting, key=lambda one: ranks[one.topic])
 
 
 def choose_command_topic(
@@ -192,7 +218,8 @@ def _extract_commands(kind: str, fields: Fields, *, wheelbase_m: float | None) -
             "lateral_speed": np.zeros_like(speed_m_s),
             "turn_rate": speed_m_s * np.tan(steering_rad) / wheelbase_m,
         }
-    return read_twist(fields, COMMAND_TYPES[kind])
+    prefix = COMMAND_TYPES.get(kind)
+    return read_twist(fields, (find_twist(fields) or "") if prefix is None else prefix)
 
 
 def build_bag_commands(rows: OrderedRows | None, start_ns: int) -> CommandColumns:
