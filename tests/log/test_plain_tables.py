@@ -96,6 +96,39 @@ def test_columns_that_look_like_commands_are_named(
     assert run.notes.get("unread_commands") == told
 
 
+OF_TWO_TOPICS = ",".join(
+    ["__time"]
+    + [f"/{topic}/pose/pose/position/{axis}" for topic in ("amcl_pose", "odom") for axis in "xy"]
+    + [f"/{topic}/pose/pose/orientation/yaw" for topic in ("amcl_pose", "odom")]
+)
+
+
+@pytest.mark.parametrize(
+    ("asked", "pose"),
+    [
+        ({}, (3.0, 4.0, 0.2)),
+        ({"heading": "/amcl_pose/pose/pose/orientation/yaw"}, (1.0, 2.0, 0.1)),
+    ],
+)
+def test_the_columns_of_a_pose_are_of_one_topic(
+    asked: dict[str, str], pose: tuple[float, ...], tmp_path: Path
+) -> None:
+    rows = [(row, 1, 2, 3, 4, 0.1, 0.2) for row in (0, 1)]
+    run = read_run(write(tmp_path, OF_TWO_TOPICS, *rows), columns=asked)
+    found = (*run.poses.xy_m[0].tolist(), float(run.poses.heading_rad[0]))
+    assert found == pytest.approx(pose)
+    assert "mixed_topics" not in run.notes
+
+
+def test_a_pose_of_two_topics_says_so(tmp_path: Path) -> None:
+    path = write(tmp_path, OF_TWO_TOPICS, *[(row, 1, 2, 3, 4, 0.1, 0.2) for row in (0, 1)])
+    own, other = "/odom/pose/pose/position", "/amcl_pose/pose/pose/orientation/yaw"
+    run = read_run(path, columns={"x": f"{own}/x", "y": f"{own}/y", "heading": other})
+    assert run.notes["mixed_topics"] == (
+        "the pose is joined from several topics: x and y from /odom; heading from /amcl_pose"
+    )
+
+
 @pytest.mark.parametrize(
     ("suffix", "sign", "point"),
     [

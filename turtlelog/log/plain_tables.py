@@ -150,8 +150,10 @@ def _build_run(path: Path, cells: "Cells") -> Run:
     pose_time_ns, moved = planar_poses.separate_times(time_ns[has_pose] - start_ns)
     heading_rad, wrapped = planar_poses.wrap_far_headings(poses["heading"])
     plane = planar_poses.describe_height(poses.get("z"), poses.get("tilt"))
+    mixed = table_columns.describe_mixed_topics(cells.chosen)
     notes = {
         CHOSEN: cells.describe(),
+        **({"mixed_topics": mixed} if mixed else {}),
         "columns": cells.describe(),
         **({UNREAD_COMMANDS: unread} if (unread := cells.describe_unread_commands()) else {}),
         **({"original_timestamp": start} if start_ns else {}),

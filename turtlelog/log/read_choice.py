@@ -231,6 +231,7 @@ NOTES: Final[Mapping[str, NoteKind]] = MappingProxyType(
         "preset": NoteKind(after="any", has_label=False),
         CHOSEN: NoteKind(after="source", has_label=False, is_recorded=False),
         UNREAD_COMMANDS: NoteKind(after="source"),
+        "mixed_topics": _OF_SOURCE,
         "goal": _IN_INFO,
         "path": _IN_INFO,
         UNUSED: NoteKind(after="any", in_info=True, has_label=False, is_recorded=False),

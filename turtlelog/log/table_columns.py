@@ -161,7 +161,7 @@ def assign_columns(
     taken, pair = {choice.column for choice in chosen.values()}, _find_stamp(names)
     for field in QUANTITIES:
         if field not in chosen:
-            guess = _guess(field, names, {*taken, *pair})
+            guess = _guess(field, names, {*taken, *pair}, _find_home(chosen))
             if guess is not None:
                 chosen[field] = guess
     if "t" not in chosen and pair and "t_nanosec" not in chosen:
@@ -302,7 +302,37 @@ def _find_asked(field: str, text: str, names: Sequence[str]) -> Choice:
     raise LogError(f"--column {field}={text}: expected a column of the table, found {found}")
 
 
-def _guess(field: str, names: Sequence[str], taken: set[int]) -> Choice | None:
+_OF_POSE: Final = ("x", "y", "z", "heading", "qx", "qy", "qz", "qw")
+
+
+def _find_home(chosen: Mapping[str, Choice]) -> str:
+    """Return the name of a chosen column of the pose; empty if none is chosen yet."""
+    return next((chosen[field].name for field in _OF_POSE if field in chosen), "")
+
+
+def _count_shared(name: str, other: str) -> int:
+    """Return how many parts of a topic two names share, as in `/odom/x` and `/odom/yaw`."""
+    pairs = zip(_split_topic(name), _split_topic(other), strict=False)
+    return next((count for count, (one, two) in enumerate(pairs) if one != two), 0)
+
+
+def _split_topic(name: str) -> list[str]:
+    return re.split(r"[/.]", name.strip().removeprefix("/"))
+
+
+def describe_mixed_topics(chosen: Mapping[str, Choice]) -> str:
+    """Return a sentence on columns of one pose from several topics; empty for one topic."""
+    topics: dict[str, list[str]] = {}
+    for field in _OF_POSE:
+        if field in chosen and chosen[field].name.strip().startswith("/"):
+            topics.setdefault(_split_topic(chosen[field].name)[0], []).append(field)
+    if len(topics) < 2:
+        return ""
+    parts = [f"{join_words(fields)} from /{topic}" for topic, fields in topics.items()]
+    return f"the pose is joined from several topics: {'; '.join(parts)}"
+
+
+def _guess(field: str, names: Sequence[str], taken: set[int], home: str) -> Choice | None:
     ranked: dict[int, list[Choice]] = {}
     for place, name in enumerate(names):
         if place in taken or len(name) > _LONGEST_NAME:
@@ -314,6 +344,13 @@ def _guess(field: str, names: Sequence[str], taken: set[int]) -> Choice | None:
             ranked.setdefault(rank, []).append(choice)
     if not ranked:
         return None
+    if field in _OF_POSE and home:  # a pose is of one topic
+        shared = {one.column: _count_shared(one.name, home) for of in ranked.values() for one in of}
+        most = max(shared.values())
+        near = {
+            rank: [one for one in of if shared[one.column] == most] for rank, of in ranked.items()
+        }
+        ranked = {rank: of for rank, of in near.items() if of}
     best = ranked[min(ranked)]
     if field == "heading" and any(_split_name(field, name)[0] == "phi" for name in names):
         # Of the Euler angles phi, theta and psi, theta is the pitch.

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from mcap.writer import Writer
 
+from tests.cli.conftest import Call, call as call
 from tests.log.ros2.bags import (
     START_NS,
     Said,
@@ -365,6 +366,16 @@ def test_commands_in_json_are_known_by_their_fields(kind: str, tmp_path: Path) -
         write_json_drive(tmp_path / "b.mcap", kind, "xyz", "/wanted"), command_topic="/wanted"
     )
     assert asked.commands.speed_m_s.tolist() == [0.5] * 3
+
+
+@pytest.mark.parametrize(
+    ("kind", "noun"), [("Cmd", "MCAP file"), ("geometry_msgs/msg/Twist", "ROS 2 bag")]
+)
+def test_a_file_without_types_of_ros_is_no_bag(
+    call: Call, kind: str, noun: str, tmp_path: Path
+) -> None:
+    out = call("info", write_json_drive(tmp_path / "a.mcap", kind, "xyz")).out
+    assert out.startswith(f"a.mcap: {noun} of a robot")
 
 
 def test_a_twist_with_other_fields_says_so(tmp_path: Path) -> None:
