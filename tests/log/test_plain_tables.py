@@ -96,6 +96,14 @@ def test_columns_that_look_like_commands_are_named(
     assert run.notes.get("unread_commands") == told
 
 
+def test_a_quaternion_about_the_vertical_axis_is_a_heading(tmp_path: Path) -> None:
+    rows = [(row, 1, 2, math.sin(row / 2), math.cos(row / 2)) for row in (0, 1)]
+    run = read_run(write(tmp_path, "t,x,y,orientation.z,orientation.w", *rows))
+    assert run.poses.heading_rad == pytest.approx([0.0, 1.0])
+    with pytest.raises(LogError, match="no column for heading"):
+        read_run(write(tmp_path, "t,x,y,qx,qw", *[(row, 1, 2, 0, 1) for row in (0, 1)]))
+
+
 OF_TWO_TOPICS = ",".join(
     ["__time"]
     + [f"/{topic}/pose/pose/position/{axis}" for topic in ("amcl_pose", "odom") for axis in "xy"]

@@ -345,7 +345,8 @@ def _describe_rows(source: "tl.run.SourceTopic | None", time_ns: "NDArray[Any]")
         return ""
     rate, topic = _describe_rate(time_ns).removeprefix("at "), _name_topic(source)
     noun = "message" if topic else "row"
-    return ", ".join(filter(None, (topic, rate, describe_count(len(time_ns), noun))))
+    lost = _describe_lost(time_ns, noun) if rate else ""
+    return ", ".join(filter(None, (topic, rate, describe_count(len(time_ns), noun), lost)))
 
 
 def _describe_kind(run: "tl.Run") -> str:
@@ -414,9 +415,47 @@ def _describe_rate(time_ns: "NDArray[Any]") -> str:
     quick, slow = np.quantile(step_ns, [0.1, 0.9])
     if quick < _SHORTEST_NS or slow > _STEADY * quick:
         return ""
+    if _find_lost(step_ns):
+        return f"at {_format_hz(1e9 / float(np.median(step_ns)))}"
     # Without gaps and bursts; after a long step the next one is shorter.
     usual_ns = step_ns[(step_ns >= quick) & (step_ns <= slow)]
     return f"at {_format_hz(1e9 / float(usual_ns.mean()))}"
+
+
+_NEAR_MULTIPLE: Final = 0.1
+_MULTIPLES: Final = 0.95
+"""Distance of a step from a multiple of the usual one, in usual steps, and share of the steps that
+are as near: then the messages of a timer are lost, and its period does not vary."""
+
+_LEAST_LOST: Final = 0.02
+"""Smallest share of lost messages that is told."""
+
+_MOST_LOST: Final = 10.0
+"""Largest step in usual ones that counts: a longer one is a pause."""
+
+
+def _find_lost(step_ns: "NDArray[Any]") -> float:
+    """Return the share of messages that are lost from an even rate, one by one; 0 for few."""
+    import numpy as np
+
+    steps = step_ns / float(np.median(step_ns))
+    steps = steps[steps <= _MOST_LOST]
+    multiples = np.maximum(np.rint(steps), 1.0)
+    is_even = np.mean(np.abs(steps - multiples) <= _NEAR_MULTIPLE) >= _MULTIPLES
+    # A robot that publishes at two rates makes few steps of two.
+    is_single = np.count_nonzero(multiples == 2.0) > np.count_nonzero(multiples > 2.0)
+    lost = 1.0 - len(steps) / float(multiples.sum())
+    return lost if is_even and is_single and lost >= _LEAST_LOST else 0.0
+
+
+def _describe_lost(time_ns: "NDArray[Any]", noun: str) -> str:
+    """Return the share of lost messages and the mean rate; empty if few are lost."""
+    import numpy as np
+
+    if not (lost := _find_lost(np.diff(time_ns))):
+        return ""
+    mean = _format_hz((len(time_ns) - 1) / (float(time_ns[-1] - time_ns[0]) / 1e9))
+    return f"{100.0 * lost:.0f} % of the {noun}s at this rate are missing ({mean} on average)"
 
 
 def _format_hz(rate: float) -> str:

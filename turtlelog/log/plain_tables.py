@@ -34,6 +34,9 @@ _NEVER: Final = (
 )
 
 _QUATERNION: Final = ("qx", "qy", "qz", "qw")
+_PLANAR: Final = ("qz", "qw")
+"""Columns of a quaternion about the vertical axis; x and y are 0 if no column has them."""
+
 _COURSE: Final = "course"
 """Name that asks for the direction of travel instead of a column of headings."""
 
@@ -100,7 +103,7 @@ def import_plain_table(
 def _require_columns(
     table: PlainTable, chosen: Mapping[str, Choice], robots: Sequence[str], *, has_courses: bool
 ) -> None:
-    is_turned = has_courses or {*_QUATERNION} <= {*chosen}
+    is_turned = has_courses or _has_quaternion(chosen)
     known = {*chosen, "heading"} if is_turned else {*chosen}
     if missing := [name for name in _NEEDED if name not in known]:
         if {"row", "failed"} <= {*table.names}:
@@ -122,6 +125,10 @@ def _require_columns(
         if missing == ["heading"] and not offered:
             options += f", or --column heading={_COURSE} takes the direction of travel"
         raise LogError(f"no column for {join_words(missing)}; there are {found}{more}: {options}")
+
+
+def _has_quaternion(chosen: Mapping[str, Choice]) -> bool:
+    return {*_QUATERNION}.intersection(chosen) in ({*_QUATERNION}, {*_PLANAR})
 
 
 def _build_run(path: Path, cells: "Cells") -> Run:
@@ -236,11 +243,12 @@ def _read_rotation(cells: "Cells") -> dict[str, Values]:
     heading = cells.read("heading")
     if heading is not None:
         return {"heading": heading}
-    if "qw" not in cells.chosen:
+    if not _has_quaternion(cells.chosen):
         return {}
     x, y, z, w = cells.require_turns()
-    names = [cells.chosen[name].name for name in _QUATERNION]
-    cells.notes |= planar_poses.describe_order(x, y, z, w, names=names)
+    if {*_QUATERNION} <= {*cells.chosen}:
+        names = [cells.chosen[name].name for name in _QUATERNION]
+        cells.notes |= planar_poses.describe_order(x, y, z, w, names=names)
     return {
         "heading": planar_poses.compute_heading(x, y, z, w),
         "tilt": planar_poses.compute_tilt(x, y, z, w),
@@ -414,7 +422,8 @@ class Cells:
 
     def require_turns(self) -> Sequence[Values]:
         """Return the columns of quaternions x, y, z, w. A length of 0 is refused."""
-        columns = [self.require(name) for name in _QUATERNION]
+        zeros = np.zeros(len(self.time_ns))
+        columns = [zeros if (one := self.read(name)) is None else one for name in _QUATERNION]
         with np.errstate(over="ignore"):
             empty = np.square(columns).sum(axis=0) == 0.0
         if empty.any():
