@@ -254,6 +254,7 @@ def add_references(
         changes, notes["goal"] = {"goal_xy_m": xy_m, "goal_heading_rad": heading_rad}, "as given"
     if goal_topic is not None:
         changes, notes["goal"], since_ns = _find_goal(goals, goal_topic.topic, track)
+        notes["goal"] += "" if changes else _offer_poses(run, bag, goals, track)
         goal_given_ns = track.locate_time(run, since_ns) if changes else None
         notes |= {} if goal_given_ns is None else {"goal_set_ns": str(goal_given_ns)}
     if paths:
@@ -275,6 +276,17 @@ def add_references(
     absent = tuple(name for name in run.absent if name not in known)
     origin = replace(run.origin, goal_given_ns=goal_given_ns, path_given_ns=path_given_ns)
     return replace(run, absent=absent, origin=origin, notes={**run.notes, **notes}, **changes)
+
+
+def _offer_poses(run: Run, bag: Bag, goals: Sequence[TopicColumns], track: RobotTrack) -> str:
+    """Return the option for other poses in the frame of a goal that is left out; may be empty."""
+    frames = {name_frame(columns) for columns in goals} - {track.frame, ""}
+    others = filter(None, run.notes.get("other_pose_topics", "").split(", "))
+    for name in others:
+        with suppress(LogError):  # they are not read
+            if frames & {name_frame(columns) for columns in bag.read_topic(name)}:
+                return f": --pose-topic {name} takes poses in its frame"
+    return ""
 
 
 def _choose_path_topics(
