@@ -118,7 +118,7 @@ def choose_commands(
     return None, f"commands on {steered.source.describe()}: {NEEDS_WHEELBASE}"
 
 
-def _describe_unread(topics: Iterable[TopicInfo]) -> str:
+def _describe_unread(topics: Sequence[TopicInfo]) -> str:
     """Return the first topic that is named as commands and has another type; may be empty."""
     for one in _list_named(topics):
         known = "Twist and AckermannDrive are"
@@ -128,7 +128,7 @@ def _describe_unread(topics: Iterable[TopicInfo]) -> str:
     return ""
 
 
-def _list_named(topics: Iterable[TopicInfo]) -> list[TopicInfo]:
+def _list_named(topics: Sequence[TopicInfo]) -> list[TopicInfo]:
     """Return readable topics of other types that are named as commands, the usual name first."""
     ranks = {one.topic: bag_topics.rank_name(one.topic, _COMMAND_NAMES) for one in topics}
     named = (

@@ -325,7 +325,8 @@ def _measure_step(
     if is_seen and not math.isnan(rise_end_s):
         figures["rise_time"] = rise_end_s - rise_begin_s
         # A motion that has not settled adds to the first, noise of the poses to the second.
-        noise = min(np.std(settled), np.std(np.diff(settled)) / math.sqrt(2.0)) / abs(size)
+        spread = float(np.std(settled)), float(np.std(np.diff(settled))) / math.sqrt(2.0)
+        noise = min(spread) / abs(size)
         until_s = end_s - (end_s - step.time_s) / 6.0 - rise_begin_s
         figures["rise_shortfall"] = _estimate_shortfall(rise_end_s - rise_begin_s, until_s, noise)
     if share > _WIDEST or quantum > max(band, _BAND):
