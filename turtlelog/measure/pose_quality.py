@@ -300,7 +300,7 @@ which way is forward. Commands act late, so a few displacements have the sign of
 def _goes_against(run: Run, ways: Values, ends: NDArray[np.int64]) -> bool:
     """Return whether reported speeds and commands, of which one exists, have the other sign."""
     time_s = (run.poses.time_ns - run.start_ns) / 1e9
-    told = []
+    told = list[Values]()
     if (speed := run.poses.measured_speed_m_s) is not None:
         steps_m = np.diff(time_s) * (speed[1:] + speed[:-1]) / 2.0
         told.append(np.append(0.0, np.cumsum(steps_m)))

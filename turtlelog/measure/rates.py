@@ -287,11 +287,12 @@ def _find_silences(time_s: Values, values: Values, rates: Rates) -> Values:
     usual_s = compute_median(held_s)
     is_long = held_s > max(_SILENT_PERIODS * usual_s, _SILENT_S)
     rows = np.flatnonzero(is_long & (np.abs(values[:-1]) > SAME))
-    has_stopped = []
+    has_stopped = list[bool]()
     for row in rows.tolist():
         late_s = [time_s[row + 1] - held_s[row] / 3.0, time_s[row + 1]]
         late = rates.values[slice(*np.searchsorted(rates.time_s, late_s))]
-        has_stopped.append(len(late) > 0 and abs(late.mean()) < _STOPPED * abs(values[row]))
+        is_slow = len(late) > 0 and abs(late.mean()) < _STOPPED * abs(values[row])
+        has_stopped.append(bool(is_slow))
     if not len(rows) or np.mean(has_stopped) <= _MOSTLY:
         return np.empty((0, 2))
     return np.column_stack([time_s[rows] + usual_s, time_s[rows + 1]])
