@@ -120,6 +120,18 @@ def test_an_axis_without_a_value_has_a_reason_and_what_to_drive(call: Call, tmp_
     assert {speed[name] for name in ("gain", "dead_time_s", "lag_s", "total_delay_s")} == {None}
 
 
+def test_a_table_without_a_column_of_commands_asks_for_the_column(
+    call: Call, tmp_path: Path
+) -> None:
+    rows = [f"{row / 10},{row / 20},0,0,{row % 3}" for row in range(30)]
+    path = tmp_path / "drive.csv"
+    path.write_text("\n".join(["t,x,y,yaw,v_ref", *rows]), "utf-8")
+    text = " ".join(call("identify", path).out.split())
+    assert "no column of the table is read as the commanded speed. To know it, name that" in text
+    missing = call("info", path, "--json").json[0]["missing"]
+    assert "--column command_speed='v_ref'" in missing[0]
+
+
 @pytest.mark.parametrize("options", [[], ["--json"]], ids=["text", "json"])
 def test_without_any_axis_the_answer_is_no(call: Call, tmp_path: Path, options: list[str]) -> None:
     answer = call("identify", write_mcap(tmp_path / "poses.mcap", make_poses()), *options)

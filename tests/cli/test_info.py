@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from mcap.writer import Writer
 
@@ -79,9 +80,30 @@ def test_real_files_are_called_what_they_are(
 def test_what_a_real_robot_did_wrong_is_noted(call: Call) -> None:
     out = call("info", find_shared("robots", "tb3")).out
     assert "  measured turn rate  1 outlier, -143.6 rad/s at 31.7 s\n" in out
-    assert (
-        "  jumps               1 jump, 0.00726 m back and +0.709 deg at 31.7 s, 0.0112 m\n" in out
-    )
+    assert "  jumps               1 jump, 0.00726 m back at 31.7 s, 0.0112 m more than it\n" in out
+
+
+@pytest.mark.parametrize(("share", "is_told"), [(0.3, True), (0.03, True), (0.0, False)])
+def test_rows_that_are_missing_from_an_even_rate_are_told(
+    call: Call, share: float, tmp_path: Path, *, is_told: bool
+) -> None:
+    kept = np.flatnonzero(np.random.default_rng(1).random(1000) >= share)
+    rows = [f"{row / 50},{row / 100},0,0" for row in kept.tolist()]
+    path = tmp_path / "drive.csv"
+    path.write_text("\n".join(["t,x,y,yaw", *rows]), "utf-8")
+    lost = 100.0 * (1.0 - len(kept) / 1000)
+    mean = 50.0 * (len(kept) - 1) / (kept[-1] - kept[0])
+    told = f", {lost:.0f} % of the rows at this rate are missing ({mean:.3g} Hz on average)"
+    poses = call("info", path, "--json").json[0]["run"]["poses"]
+    assert poses == f"50 Hz, {len(kept)} rows{told if is_told else ''}"
+
+
+def test_a_robot_that_publishes_at_two_rates_lacks_none(call: Call, tmp_path: Path) -> None:
+    steps = np.repeat(np.resize([1, 5], 40), np.resize([50, 10], 40))
+    rows = [f"{row / 50},{row / 100},0,0" for row in np.cumsum(steps).tolist()]
+    path = tmp_path / "drive.csv"
+    path.write_text("\n".join(["t,x,y,yaw", *rows]), "utf-8")
+    assert "missing" not in call("info", path, "--json").json[0]["run"]["poses"]
 
 
 def test_what_a_file_is_comes_first_and_then_what_is_in_it_and_missing(

@@ -52,6 +52,8 @@ def test_a_table_is_read_and_says_what_it_took(tmp_path: Path) -> None:
         ("command_speed", "command_turn_rate"),
         ("/cmd_vel/linear/x", "/cmd_vel/angular/z"),
         ("cmd_vel.twist.linear.x", "cmd_vel.twist.angular.z"),
+        ("cmd_vx", "cmd_wz"),
+        ("Cmd lin [m/s]", "Cmd ang [rad/s]"),
     ],
 )
 def test_commands_are_told_from_what_is_measured(
@@ -62,6 +64,77 @@ def test_commands_are_told_from_what_is_measured(
     assert (run.commands.speed_m_s[0], run.commands.turn_rate_rad_s[0]) == (1.0, 2.0)
     assert run.poses.measured_speed_m_s == [3.0]
     assert run.poses.measured_turn_rate_rad_s == [4.0]
+
+
+@pytest.mark.parametrize(
+    ("names", "told"),
+    [
+        (
+            "v_set_mm_s,w_ref",
+            "v_set_mm_s and w_ref look like commands but are not read: --column"
+            " command_speed='v_set_mm_s' --column command_turn_rate='w_ref'",
+        ),
+        (
+            "cmd_w,desired_velocity",
+            "desired_velocity looks like commands but is not read: --column"
+            " command_speed='desired_velocity'",
+        ),
+        (
+            "left_wheel_cmd,x_ref",
+            "left_wheel_cmd looks like commands but is not read: --column command_speed=NAME and"
+            " --column command_turn_rate=NAME name columns of the robot's own rates",
+        ),
+        ("cmd_v,cmd_w,v_ref", None),
+        ("x_ref,theta_ref,speed_error,target_id", None),
+    ],
+)
+def test_columns_that_look_like_commands_are_named(
+    names: str, told: str | None, tmp_path: Path
+) -> None:
+    cells = range(len(names.split(",")))
+    run = read_run(write(tmp_path, f"t,x,y,yaw,{names}", *[(t, 1, 2, 0, *cells) for t in (0, 1)]))
+    assert run.notes.get("unread_commands") == told
+
+
+def test_a_quaternion_about_the_vertical_axis_is_a_heading(tmp_path: Path) -> None:
+    rows = [(row, 1, 2, math.sin(row / 2), math.cos(row / 2)) for row in (0, 1)]
+    run = read_run(write(tmp_path, "t,x,y,orientation.z,orientation.w", *rows))
+    assert run.poses.heading_rad == pytest.approx([0.0, 1.0])
+    with pytest.raises(LogError, match="no column for heading"):
+        read_run(write(tmp_path, "t,x,y,qx,qw", *[(row, 1, 2, 0, 1) for row in (0, 1)]))
+
+
+OF_TWO_TOPICS = ",".join(
+    ["__time"]
+    + [f"/{topic}/pose/pose/position/{axis}" for topic in ("amcl_pose", "odom") for axis in "xy"]
+    + [f"/{topic}/pose/pose/orientation/yaw" for topic in ("amcl_pose", "odom")]
+)
+
+
+@pytest.mark.parametrize(
+    ("asked", "pose"),
+    [
+        ({}, (3.0, 4.0, 0.2)),
+        ({"heading": "/amcl_pose/pose/pose/orientation/yaw"}, (1.0, 2.0, 0.1)),
+    ],
+)
+def test_the_columns_of_a_pose_are_of_one_topic(
+    asked: dict[str, str], pose: tuple[float, ...], tmp_path: Path
+) -> None:
+    rows = [(row, 1, 2, 3, 4, 0.1, 0.2) for row in (0, 1)]
+    run = read_run(write(tmp_path, OF_TWO_TOPICS, *rows), columns=asked)
+    found = (*run.poses.xy_m[0].tolist(), float(run.poses.heading_rad[0]))
+    assert found == pytest.approx(pose)
+    assert "mixed_topics" not in run.notes
+
+
+def test_a_pose_of_two_topics_says_so(tmp_path: Path) -> None:
+    path = write(tmp_path, OF_TWO_TOPICS, *[(row, 1, 2, 3, 4, 0.1, 0.2) for row in (0, 1)])
+    own, other = "/odom/pose/pose/position", "/amcl_pose/pose/pose/orientation/yaw"
+    run = read_run(path, columns={"x": f"{own}/x", "y": f"{own}/y", "heading": other})
+    assert run.notes["mixed_topics"] == (
+        "the pose is joined from several topics: x and y from /odom; heading from /amcl_pose"
+    )
 
 
 @pytest.mark.parametrize(

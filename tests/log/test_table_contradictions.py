@@ -265,6 +265,48 @@ def test_unlikely_units_are_told(
 
 
 @pytest.mark.parametrize(
+    ("header", "step", "speed_m_s", "told"),
+    [
+        ("t,x,y,yaw", 4.0, 0.009, "poses are 4 s apart and the robot drives at most 0.009 m/s;"),
+        ("t,x,y,yaw", 1.0, 0.009, "if they are ms: --column t='t [ms]'"),
+        ("t,x,y,yaw", 4.0, 0.011, ""),
+        ("t,x,y,yaw", 2.5, 0.009, ""),
+        ("t [s],x,y,yaw", 4.0, 0.009, ""),
+        ("t,x,y,yaw", 4.0, 1e-5, ""),
+        ("t,x,y,yaw", 5.0, 6.0, ""),
+    ],
+)
+def test_a_robot_that_only_crawls_in_whole_seconds_is_told(
+    header: str, step: float, speed_m_s: float, told: str, tmp_path: Path
+) -> None:
+    x, y, heading_rad = drive()
+    scale = speed_m_s / 0.5 * step * 10.0
+    run = read(tmp_path, header, TIME_S * (10.0 * step), scale * x, scale * y, heading_rad)
+    assert told in run.notes.get("unlikely_units", "")
+    assert ("unlikely_units" in run.notes) == bool(told)
+
+
+@pytest.mark.parametrize(
+    ("header", "speed_m_s", "turn_rate_rad_s", "told"),
+    [
+        ("t,x,y,yaw", 45.0, 0.8, "so accelerations reach 35.5 m/s^2; if they are cm (or mm):"),
+        ("t,x,y,yaw", 45.0, 0.6, ""),
+        ("t,x,y,yaw", 33.0, 0.1, ""),
+        ("t,x [m],y [m],yaw", 45.0, 0.8, ""),
+    ],
+)
+def test_curves_that_no_robot_drives_are_told(
+    header: str, speed_m_s: float, turn_rate_rad_s: float, told: str, tmp_path: Path
+) -> None:
+    turned_rad = turn_rate_rad_s * TIME_S
+    radius_m = speed_m_s / turn_rate_rad_s
+    places = radius_m * np.sin(turned_rad), radius_m * (1.0 - np.cos(turned_rad))
+    run = read(tmp_path, header, TIME_S, *places, turned_rad)
+    assert told in run.notes.get("unlikely_units", "")
+    assert ("unlikely_units" in run.notes) == bool(told)
+
+
+@pytest.mark.parametrize(
     ("header", "scale", "told"),
     [
         ("v", 1.19, ""),

@@ -56,7 +56,7 @@ def test_the_step_back_of_a_real_robot_is_found() -> None:
     # It is where its odometry reports a turn rate of -143.6 rad/s.
     assert run.poses.measured_turn_rate_rad_s is not None
     assert jump.row == int(np.abs(run.poses.measured_turn_rate_rad_s).argmax())
-    assert describe_breaks(run)["jumps"].startswith("1 jump, 0.00726 m back and +0.709 deg at 31.")
+    assert describe_breaks(run)["jumps"].startswith("1 jump, 0.00726 m back at 31.")
 
 
 @pytest.mark.parametrize(
@@ -114,11 +114,9 @@ def test_jumps_are_ranked_by_what_exceeds_driving() -> None:
     speed = np.repeat([1.0, 0.0], [100, 99])
     run = move(move(make_robot(speed), 50, 0.1), 150, 0.12)
     assert list_rows(run) == [50, 150]
-    assert (
-        describe_breaks(run)["jumps"] == "2 jumps, the largest 0.12 m ahead and +0.286 deg at 7.5 s"
-    )
+    assert describe_breaks(run)["jumps"] == "2 jumps, the largest 0.12 m ahead at 7.5 s"
     alone = describe_breaks(move(make_robot(speed), 50, 0.1))["jumps"]
-    assert alone == "1 jump, 0.15 m ahead and +0.286 deg at 2.5 s, 0.1 m more than it drove"
+    assert alone == "1 jump, 0.15 m ahead at 2.5 s, 0.1 m more than it drove"
 
 
 @pytest.mark.parametrize("turned_rad", [0.09, 0.5, -1.5, 3.0])

@@ -6,9 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import turtlelog as tl
 from tests.measure.driven import make_driven_run, publish, respond
 from tests.measure.driven_robots import AT_20_HZ, STEPS, drive, measure, read, tell
 from turtlelog.measure.metrics.following import _SCATTER, _has_second
+from turtlelog.measure.pose_quality import describe_poses
 
 
 @pytest.mark.parametrize("axis", ["speed", "turn_rate"])
@@ -88,6 +90,45 @@ def test_a_stick_makes_no_steps() -> None:
     reason = "no command is held for 1 s after one that was for 0.5 s"
     assert tell(run, "run.speed_rise_time") == ("no_step", reason)
     assert read(run, "run.speed_lag") == pytest.approx(0.05 + 0.1, abs=0.03)  # tau: it is slow
+
+
+def describe_answers(run: tl.Run) -> dict[str, str]:
+    return describe_poses(run, tl.measure_run(run))
+
+
+@pytest.mark.parametrize(("lag_s", "is_short"), [(0.1, False), (0.9, True)])
+def test_rise_times_of_steps_that_end_too_early_are_told(lag_s: float, *, is_short: bool) -> None:
+    run = drive(np.arange(0.0, 20.0, 0.02), lag_s=lag_s, reports=True)
+    short_s = math.log(9.0) * lag_s - read(run, "run.speed_rise_time")
+    assert (short_s > 0.1) == is_short
+    told = describe_answers(run).get("short_rises")
+    assert told == ("speed by up to about 0.4 s" if is_short else None)
+    assert short_s == pytest.approx(0.4 if is_short else 0.0, abs=0.15)
+
+
+def test_noise_that_passes_the_end_of_a_rise_early_is_told() -> None:
+    run = drive(np.arange(0.0, 20.0, 0.05), lag_s=0.3, noise_m=0.0005)
+    assert read(run, "run.speed_rise_time") < 0.9 * math.log(9.0) * 0.3
+    assert describe_answers(run)["short_rises"].startswith("speed by up to about 0.")
+
+
+@pytest.mark.parametrize("stops", [True, False])
+def test_a_silence_in_which_the_robot_stops_is_no_held_command(*, stops: bool) -> None:
+    time_s = np.arange(0.0, 40.0, 0.02)
+    starts_s = np.arange(2.0, 36.0, 4.0)
+    bursts = np.concatenate([start + np.arange(0.0, 2.0, 0.1) for start in starts_s])
+    values = np.repeat(np.resize([0.4, -0.3, 0.2], len(starts_s)), 20)
+    commands = bursts, values, np.zeros(len(bursts))
+    steps = [
+        (float(start), float(value)) for start, value in zip(starts_s, values[::20], strict=True)
+    ]
+    ends = [(start + 2.4, 0.0) for start, _ in steps]  # by a watchdog of 0.5 s
+    driven = respond(time_s, sorted([*steps, *ends]) if stops else steps, 0.1, 0.05)
+    run = make_driven_run(time_s, speed=driven, commands=commands, reports=True)
+    assert read(run, "run.speed_lag") == pytest.approx(0.05 + 0.1 * math.log(2.0), abs=0.02)
+    assert read(run, "run.speed_rise_time") == pytest.approx(math.log(9.0) * 0.1, abs=0.01)
+    told = describe_answers(run).get("silences")
+    assert told == ("8 silences of the commands, 16 s in all" if stops else None)
 
 
 def test_commands_that_add_up_to_nearly_nothing_are_one() -> None:

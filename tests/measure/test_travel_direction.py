@@ -94,6 +94,29 @@ def test_a_turned_marker_shows_forward_and_backward(
     assert find_angle_deg(run) == pytest.approx(-mounted_deg, abs=1.0 if noise_m else 0.1)
 
 
+@pytest.mark.parametrize("reports", [False, True])
+@pytest.mark.parametrize("mounted_deg", [-150.0, -100.0, 80.0, 90.0, 120.0])
+def test_the_reported_speed_and_the_commands_show_which_way_is_forward(
+    mounted_deg: float, *, reports: bool
+) -> None:
+    speed, rate = draw_commands(backward=0.2)
+    run = drive(speed, rate, mounted_deg=mounted_deg)
+    reported = np.append(0.0, speed) if reports else None
+    run = replace(run, poses=replace(run.poses, measured_speed_m_s=reported))
+    found = find_travel_direction(run)
+    assert found is not None
+    assert math.degrees(found.angle_rad) == pytest.approx(-mounted_deg, abs=0.5)
+    assert ("have the wrong sign" in found.describe()) == (abs(mounted_deg) > 95.0)
+
+
+def test_a_travel_that_reports_and_commands_tell_apart_is_within_a_quarter_turn() -> None:
+    speed, rate = draw_commands()
+    run = drive(speed, rate, mounted_deg=120.0)
+    backward = np.append(0.0, -speed)
+    run = replace(run, poses=replace(run.poses, measured_speed_m_s=backward))
+    assert find_angle_deg(run) == pytest.approx(60.0, abs=0.5)
+
+
 @pytest.mark.parametrize(("mounted_deg", "shows"), [(4.5, False), (5.5, True)])
 def test_an_angle_of_five_degrees_is_told(mounted_deg: float, *, shows: bool) -> None:
     found = find_travel_direction(drive(*draw_commands(), mounted_deg=mounted_deg))

@@ -435,7 +435,8 @@ def _list_next(
     elif answer.format_version is not None:
         yield f"Next: turtlelog metrics {console.quote_file(answer.file, *reading)}"
         law = answer.parameters.get("law.kind")
-        yield f"      {console.name_explain(answer.file, law, reading)}"
+        if "samples" not in answer.absent:  # only a controller's run is explained
+            yield f"      {console.name_explain(answer.file, law, reading)}"
     more = [] if topics or not answer.topics else ["Topics: --topics"]
     more += [] if parameters or not answer.parameters else ["Scenario: --parameters"]
     if more:

@@ -168,7 +168,9 @@ def name_kind(answer: "InfoAnswer") -> FileKind:
 
 
 def name_bag(answer: "InfoAnswer") -> str:
-    """Return the kind of a bag."""
+    """Return the kind of a bag; a file without types of ROS is none."""
+    if answer.source == "mcap" and not any("/msg/" in topic.type for topic in answer.topics):
+        return "MCAP file"
     return f"ROS {1 if answer.source == 'ros1' else 2} bag"
 
 
@@ -343,7 +345,8 @@ def _describe_rows(source: "tl.run.SourceTopic | None", time_ns: "NDArray[Any]")
         return ""
     rate, topic = _describe_rate(time_ns).removeprefix("at "), _name_topic(source)
     noun = "message" if topic else "row"
-    return ", ".join(filter(None, (topic, rate, describe_count(len(time_ns), noun))))
+    lost = _describe_lost(time_ns, noun) if rate else ""
+    return ", ".join(filter(None, (topic, rate, describe_count(len(time_ns), noun), lost)))
 
 
 def _describe_kind(run: "tl.Run") -> str:
@@ -412,9 +415,47 @@ def _describe_rate(time_ns: "NDArray[Any]") -> str:
     quick, slow = np.quantile(step_ns, [0.1, 0.9])
     if quick < _SHORTEST_NS or slow > _STEADY * quick:
         return ""
+    if _find_lost(step_ns):
+        return f"at {_format_hz(1e9 / float(np.median(step_ns)))}"
     # Without gaps and bursts; after a long step the next one is shorter.
     usual_ns = step_ns[(step_ns >= quick) & (step_ns <= slow)]
     return f"at {_format_hz(1e9 / float(usual_ns.mean()))}"
+
+
+_NEAR_MULTIPLE: Final = 0.1
+_MULTIPLES: Final = 0.95
+"""Distance of a step from a multiple of the usual one, in usual steps, and share of the steps that
+are as near: then the messages of a timer are lost, and its period does not vary."""
+
+_LEAST_LOST: Final = 0.02
+"""Smallest share of lost messages that is told."""
+
+_MOST_LOST: Final = 10.0
+"""Largest step in usual ones that counts: a longer one is a pause."""
+
+
+def _find_lost(step_ns: "NDArray[Any]") -> float:
+    """Return the share of messages that are lost from an even rate, one by one; 0 for few."""
+    import numpy as np
+
+    steps = step_ns / float(np.median(step_ns))
+    steps = steps[steps <= _MOST_LOST]
+    multiples = np.maximum(np.rint(steps), 1.0)
+    is_even = np.mean(np.abs(steps - multiples) <= _NEAR_MULTIPLE) >= _MULTIPLES
+    # A robot that publishes at two rates makes few steps of two.
+    is_single = np.count_nonzero(multiples == 2.0) > np.count_nonzero(multiples > 2.0)
+    lost = 1.0 - len(steps) / float(multiples.sum())
+    return lost if is_even and is_single and lost >= _LEAST_LOST else 0.0
+
+
+def _describe_lost(time_ns: "NDArray[Any]", noun: str) -> str:
+    """Return the share of lost messages and the mean rate; empty if few are lost."""
+    import numpy as np
+
+    if not (lost := _find_lost(np.diff(time_ns))):
+        return ""
+    mean = _format_hz((len(time_ns) - 1) / (float(time_ns[-1] - time_ns[0]) / 1e9))
+    return f"{100.0 * lost:.0f} % of the {noun}s at this rate are missing ({mean} on average)"
 
 
 def _format_hz(rate: float) -> str:
@@ -423,9 +464,11 @@ def _format_hz(rate: float) -> str:
 
 
 def _list_missing(run: "tl.Run", info: "tl.log.RecordingInfo") -> "Iterator[str]":
-    """Yield the missing data of a bag. Commands cannot be added to a table without commands."""
+    """Yield the missing data of a file; of a table, commands only if columns look like them."""
     if len(run.samples):
         return
+    if tl.log.UNREAD_COMMANDS in run.notes:
+        yield f"commands: {run.notes[tl.log.UNREAD_COMMANDS]}"
     lacks = tl.compare.list_lacks(run)
     for lack in lacks:
         is_told = lack in tl.compare.UNLOCKS and tl.compare.can_unlock(lack, lacks)

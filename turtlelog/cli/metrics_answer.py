@@ -271,10 +271,12 @@ def list_resolutions(summaries: "Sequence[tl.compare.RunSummary]") -> list[str]:
     steps = dict.fromkeys(one.notes["rate_step"] for one in summaries if "rate_step" in one.notes)
     if not steps:
         return []
-    return [
-        f"Measured rates are {join_words([*steps])} apart: lags are known to half of it, rise times"
-        " to twice it."
-    ]
+    apart = f"Measured rates are {join_words([*steps])} apart"
+    if any("silences" in one.notes for one in summaries):
+        return [f"{apart}."]
+    if any("short_rises" in one.notes for one in summaries):
+        return [f"{apart}: lags are known to half of it."]
+    return [f"{apart}: lags are known to half of it, rise times to twice it."]
 
 
 def _is_still(summary: "tl.compare.RunSummary") -> bool:
@@ -321,6 +323,10 @@ _OF_MOTION: Final = {
     " less certain.",
     "leads": "The motion{which} leads the commands by {note}: they were recorded late, or their"
     " clock differs from that of the poses.",
+    "silences": "Lags and rise times{which} leave out {note}, in which the robot stops by itself:"
+    " they may be too small.",
+    "short_rises": "Rise times{which} are too small, {note}: steps end before the robot has"
+    " settled, or noise passes 90 % early.",
     "crept": "Rest{which}, judged over half a second, includes {note} of slow or brief motion.",
     "gaps": "Rates and rest{which} leave out {note} without poses; the path length counts a"
     " straight line there.",

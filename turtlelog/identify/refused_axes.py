@@ -32,7 +32,9 @@ from turtlelog.identify.held_response import COUPLED, Values
 from turtlelog.identify.robot_model import AxisModel, Estimate, Refusal
 from turtlelog.identify.robot_noise import RESTED_S
 from turtlelog.identify.structure_choice import LEAST_BELOW
-from turtlelog.run import Run
+from turtlelog.log import UNREAD_COMMANDS
+from turtlelog.measure.signals import find_no_commands
+from turtlelog.run import Run, SourceKind, find_source_kind
 
 _OPPOSITE_EXPLAINS: Final = 0.5
 """Smallest explained share of the variance for which a negative gain is reported; below it, a
@@ -145,8 +147,10 @@ def refuse_axis(axis: Axis, refusal: Refusal, *, drive: str = "", **facts: Any) 
 def refuse_commands(runs: Sequence[Run], axis: Axis) -> AxisModel | None:
     """Return an axis without values if the commands cannot identify it; else None."""
     commands = [get_commands(run, axis) for run in runs]
-    if not any(len(command) for command in commands):
-        return refuse_axis(axis, "no_commands")
+    lacks_column = all(_lacks_column(run, axis) for run in runs)
+    if lacks_column or not any(len(command) for command in commands):
+        refused = refuse_axis(axis, "no_commands")
+        return _ask_for_column(refused) if lacks_column else refused
     if not any(command.any() for command in commands):
         return refuse_axis(axis, "never_commanded")
     fastest = max(float(np.abs(command).max(initial=0.0)) for command in commands)
@@ -159,6 +163,21 @@ def refuse_commands(runs: Sequence[Run], axis: Axis) -> AxisModel | None:
     if change < _SUDDEN_SHARE * span:
         return refuse_axis(axis, "ramps", within_s=AT_ONCE_S, change=change, span=span)
     return None
+
+
+def _lacks_column(run: Run, axis: Axis) -> bool:
+    """Return whether no column of a table is read as the commands of an axis, but may be one."""
+    is_table = find_source_kind(run.source) is SourceKind.TABLE
+    may_read = UNREAD_COMMANDS in run.notes or not len(run.commands)
+    return is_table and may_read and find_no_commands(run, axis) is not None
+
+
+def _ask_for_column(refused: AxisModel) -> AxisModel:
+    return replace(
+        refused,
+        reason=f"no column of the table is read as the commanded {NAMES[refused.axis]}",
+        advice=f"name that column with --column command_{refused.axis}=NAME",
+    )
 
 
 def refuse_begun(

@@ -44,6 +44,7 @@ from .read_choice import (
     NEEDS_WHEELBASE as NEEDS_WHEELBASE,
     NEEDS_WHEELS as NEEDS_WHEELS,
     NOTES as NOTES,
+    UNREAD_COMMANDS as UNREAD_COMMANDS,
     UNUSED as UNUSED,
     ReadChoice as ReadChoice,
     ReadOptions as ReadOptions,

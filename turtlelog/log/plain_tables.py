@@ -16,7 +16,7 @@ from turtlelog.files.urls import make_path
 from turtlelog.log import planar_poses, table_columns
 from turtlelog.log.file_access import name_file
 from turtlelog.log.planar_poses import Values
-from turtlelog.log.read_choice import CHOSEN, RESTARTS
+from turtlelog.log.read_choice import CHOSEN, RESTARTS, UNREAD_COMMANDS
 from turtlelog.log.ros2.bag_rows import LARGEST
 from turtlelog.log.ros2.computed_poses import take_asked_courses
 from turtlelog.log.ros2.reported_motion import describe_speed, describe_turning, describe_units
@@ -32,6 +32,9 @@ _NEVER: Final = (
 )
 
 _QUATERNION: Final = ("qx", "qy", "qz", "qw")
+_PLANAR: Final = ("qz", "qw")
+"""Columns of a quaternion about the vertical axis; x and y are 0 if no column has them."""
+
 _COURSE: Final = "course"
 """Name that asks for the direction of travel instead of a column of headings."""
 
@@ -93,7 +96,7 @@ def import_plain_table(
 def _require_columns(
     table: PlainTable, chosen: Mapping[str, Choice], robots: Sequence[str], *, has_courses: bool
 ) -> None:
-    is_turned = has_courses or {*_QUATERNION} <= {*chosen}
+    is_turned = has_courses or _has_quaternion(chosen)
     known = {*chosen, "heading"} if is_turned else {*chosen}
     if missing := [name for name in _NEEDED if name not in known]:
         if {"row", "failed"} <= {*table.names}:
@@ -115,6 +118,10 @@ def _require_columns(
         if missing == ["heading"] and not offered:
             options += f", or --column heading={_COURSE} takes the direction of travel"
         raise LogError(f"no column for {join_words(missing)}; there are {found}{more}: {options}")
+
+
+def _has_quaternion(chosen: Mapping[str, Choice]) -> bool:
+    return {*_QUATERNION}.intersection(chosen) in ({*_QUATERNION}, {*_PLANAR})
 
 
 def _build_run(path: Path, cells: "Cells") -> Run:
@@ -143,9 +150,12 @@ def _build_run(path: Path, cells: "Cells") -> Run:
     pose_time_ns, moved = planar_poses.separate_times(time_ns[has_pose] - start_ns)
     heading_rad, wrapped = planar_poses.wrap_far_headings(poses["heading"])
     plane = planar_poses.describe_height(poses.get("z"), poses.get("tilt"))
+    mixed = table_columns.describe_mixed_topics(cells.chosen)
     notes = {
         CHOSEN: cells.describe(),
+        **({"mixed_topics": mixed} if mixed else {}),
         "columns": cells.describe(),
+        **({UNREAD_COMMANDS: unread} if (unread := cells.describe_unread_commands()) else {}),
         **({"original_timestamp": start} if start_ns else {}),
         **planar_poses.note_changes(changed),
         "moved_rows": str(moved),
@@ -221,11 +231,12 @@ def _read_rotation(cells: "Cells") -> dict[str, Values]:
     heading = cells.read("heading")
     if heading is not None:
         return {"heading": heading}
-    if "qw" not in cells.chosen:
+    if not _has_quaternion(cells.chosen):
         return {}
     x, y, z, w = cells.require_turns()
-    names = [cells.chosen[name].name for name in _QUATERNION]
-    cells.notes |= planar_poses.describe_order(x, y, z, w, names=names)
+    if {*_QUATERNION} <= {*cells.chosen}:
+        names = [cells.chosen[name].name for name in _QUATERNION]
+        cells.notes |= planar_poses.describe_order(x, y, z, w, names=names)
     return {
         "heading": planar_poses.compute_heading(x, y, z, w),
         "tilt": planar_poses.compute_tilt(x, y, z, w),
@@ -368,9 +379,14 @@ class Cells:
             text += f"; --column {field}='{self.chosen[field].name} [UNIT]' names another unit"
         return text
 
+    def describe_unread_commands(self) -> str:
+        """Return which unread columns look like commands; empty without such columns."""
+        return table_columns.describe_unread_commands(self.table.names, self.chosen)
+
     def require_turns(self) -> Sequence[Values]:
         """Return the columns of quaternions x, y, z, w. A length of 0 is refused."""
-        columns = [self.require(name) for name in _QUATERNION]
+        zeros = np.zeros(len(self.time_ns))
+        columns = [zeros if (one := self.read(name)) is None else one for name in _QUATERNION]
         with np.errstate(over="ignore"):
             empty = np.square(columns).sum(axis=0) == 0.0
         if empty.any():

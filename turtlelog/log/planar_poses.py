@@ -145,6 +145,13 @@ def find_pose_shape(fields: Collection[str]) -> PoseShape | None:
     return None
 
 
+def find_twist(fields: Collection[str]) -> str | None:
+    """Return the prefix of a twist in an unknown type, by the names of its fields."""
+    needed = ("linear.x", "linear.y", "angular.z")
+    prefixes = TWIST_TYPES.values()
+    return next((one for one in prefixes if all(one + name in fields for name in needed)), None)
+
+
 def read_twist(fields: Fields, prefix: str) -> dict[str, Values]:
     """Return forward and lateral speed [m/s] and turn rate [rad/s] after a prefix."""
     return {

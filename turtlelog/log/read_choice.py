@@ -196,6 +196,9 @@ CLOCK_SET: Final = "clock_set"
 RESTARTS: Final = "restarts"
 """Name of the note on times that start again, as of two runs one below the other."""
 
+UNREAD_COMMANDS: Final = "unread_commands"
+"""Name of the note on columns of a table that look like commands and are not read."""
+
 UNUSED: Final = "unused"
 """Name of the note on options that a file does not use."""
 
@@ -227,6 +230,8 @@ NOTES: Final[Mapping[str, NoteKind]] = MappingProxyType(
     {
         "preset": NoteKind(after="any", has_label=False),
         CHOSEN: NoteKind(after="source", has_label=False, is_recorded=False),
+        UNREAD_COMMANDS: NoteKind(after="source"),
+        "mixed_topics": _OF_SOURCE,
         "goal": _IN_INFO,
         "path": _IN_INFO,
         UNUSED: NoteKind(after="any", in_info=True, has_label=False, is_recorded=False),

@@ -94,7 +94,21 @@ _NAMES: Final[Mapping[str, str]] = {
 }
 """Known column names by field, in lower case, with _ for other characters."""
 
+_OF_COMMANDS: Final[Mapping[str, str]] = {
+    "command_speed": "vx v_x vel_x x_vel lin lin_x linear",
+    "command_turn_rate": "wz w_z vel_z z_vel ang ang_z angular vth vtheta",
+}
+"""Further names of commands; a measured `vx` may be along x of the world."""
+
 _COMMANDS: Final = frozenset({"cmd", "command", "commanded", "commands"})
+
+_SET: Final = _COMMANDS | {"set", "setpoint", "sp", "ref", "reference", "desired", "des", "target"}
+"""Words in names of columns that may be commands."""
+
+_ACTUATORS: Final = frozenset(
+    {"wheel", "motor", "steering", "steer", "throttle", "vel", "velocity", "speed"}
+)
+"""Words in names of commands that are neither a speed nor a turn rate of the robot."""
 
 _OTHERS: Final = frozenset({"measured", "meas", "actual", "odom", "field", "robot", "data"})
 """Words in column names that only indicate that a robot measured the values."""
@@ -154,7 +168,7 @@ def assign_columns(
     taken, pair = {choice.column for choice in chosen.values()}, _find_stamp(names)
     for field in QUANTITIES:
         if field not in chosen:
-            guess = _guess(field, names, {*taken, *pair})
+            guess = _guess(field, names, {*taken, *pair}, _find_home(chosen))
             if guess is not None:
                 chosen[field] = guess
     if "t" not in chosen and pair and "t_nanosec" not in chosen:
@@ -182,6 +196,44 @@ def _fill_unit(choice: Choice, text: str) -> Choice:
             f" --column {choice.field}='{choice.name} [UNIT]' names one"
         )
     return replace(choice, unit=unit)
+
+
+def describe_unread_commands(names: Sequence[str], chosen: Mapping[str, Choice]) -> str:
+    """Return which unread columns look like commands of an axis without a column; may be empty."""
+    lacking = [field for field in _OF_COMMANDS if field not in chosen]
+    taken = {choice.column for choice in chosen.values()}
+    short = (place for place, name in enumerate(names) if len(name) <= _LONGEST_NAME)
+    unread = [place for place in short if place not in taken]
+    found = {field: [one for one in unread if _may_command(field, names[one])] for field in lacking}
+    places = [place for fitting in found.values() for place in fitting]
+    options = [
+        f"--column {field}='{_name(names, fitting[0])}'"
+        for field, fitting in found.items()
+        if fitting
+    ]
+    advice = " ".join(options)
+    if lacking and not places:
+        places = [place for place in unread if _may_move(names[place])]
+        columns = join_words([f"--column {field}=NAME" for field in lacking])
+        advice = f"{columns} name columns of the robot's own rates"
+    if not places:
+        return ""
+    look = "looks like commands but is" if len(places) == 1 else "look like commands but are"
+    return f"{join_words([show_column(names, one) for one in places])} {look} not read: {advice}"
+
+
+def _may_move(name: str) -> bool:
+    """Return whether a name has the words of a command and those of a motor or a wheel."""
+    words = {*_simplify(name).split("_")}
+    return bool(words & _SET and words & _ACTUATORS) and not words & {"error", "err"}
+
+
+def _may_command(field: str, name: str) -> bool:
+    """Return whether a name has the words of a command and those of a speed or turn rate."""
+    words = _split_name(field, name, is_asked=True)[0].split("_")
+    base = "_".join(word for word in words if word not in _SET)
+    known = f"{_NAMES[field.removeprefix('command_')]} {_OF_COMMANDS[field]}".split()
+    return not _SET.isdisjoint(words) and base in known
 
 
 def find_table_robots(names: Sequence[str]) -> dict[str, dict[str, str]]:
@@ -257,7 +309,37 @@ def _find_asked(field: str, text: str, names: Sequence[str]) -> Choice:
     raise LogError(f"--column {field}={text}: expected a column of the table, found {found}")
 
 
-def _guess(field: str, names: Sequence[str], taken: set[int]) -> Choice | None:
+_OF_POSE: Final = ("x", "y", "z", "heading", "qx", "qy", "qz", "qw")
+
+
+def _find_home(chosen: Mapping[str, Choice]) -> str:
+    """Return the name of a chosen column of the pose; empty if none is chosen yet."""
+    return next((chosen[field].name for field in _OF_POSE if field in chosen), "")
+
+
+def _count_shared(name: str, other: str) -> int:
+    """Return how many parts of a topic two names share, as in `/odom/x` and `/odom/yaw`."""
+    pairs = zip(_split_topic(name), _split_topic(other), strict=False)
+    return next((count for count, (one, two) in enumerate(pairs) if one != two), 0)
+
+
+def _split_topic(name: str) -> list[str]:
+    return re.split(r"[/.]", name.strip().removeprefix("/"))
+
+
+def describe_mixed_topics(chosen: Mapping[str, Choice]) -> str:
+    """Return a sentence on columns of one pose from several topics; empty for one topic."""
+    topics: dict[str, list[str]] = {}
+    for field in _OF_POSE:
+        if field in chosen and chosen[field].name.strip().startswith("/"):
+            topics.setdefault(_split_topic(chosen[field].name)[0], []).append(field)
+    if len(topics) < 2:
+        return ""
+    parts = [f"{join_words(fields)} from /{topic}" for topic, fields in topics.items()]
+    return f"the pose is joined from several topics: {'; '.join(parts)}"
+
+
+def _guess(field: str, names: Sequence[str], taken: set[int], home: str) -> Choice | None:
     ranked: dict[int, list[Choice]] = {}
     for place, name in enumerate(names):
         if place in taken or len(name) > _LONGEST_NAME:
@@ -269,6 +351,13 @@ def _guess(field: str, names: Sequence[str], taken: set[int]) -> Choice | None:
             ranked.setdefault(rank, []).append(choice)
     if not ranked:
         return None
+    if field in _OF_POSE and home:  # a pose is of one topic
+        shared = {one.column: _count_shared(one.name, home) for of in ranked.values() for one in of}
+        most = max(shared.values())
+        near = {
+            rank: [one for one in of if shared[one.column] == most] for rank, of in ranked.items()
+        }
+        ranked = {rank: of for rank, of in near.items() if of}
     best = ranked[min(ranked)]
     if field == "heading" and any(_split_name(field, name)[0] == "phi" for name in names):
         # Of the Euler angles phi, theta and psi, theta is the pitch.
@@ -320,7 +409,9 @@ def _rank(field: str, base: str) -> int | None:
             return rank
     # The part before is a topic: /odom/pose/pose/position/x, cmd_vel.linear.x.
     tails = ("_".join(short[place:]) for place in range(1, len(short) - 1))
-    return 2 if any(tail in known for tail in tails) else None
+    if any(tail in known for tail in tails):
+        return 2
+    return 3 if "_".join(short) in _OF_COMMANDS.get(field, "").split() else None
 
 
 def _split_name(field: str, name: str, *, is_asked: bool = False) -> tuple[str, str | None]:

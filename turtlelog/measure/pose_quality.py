@@ -23,8 +23,14 @@ from turtlelog.measure.pose_noise import (
     measure_rate_noise,
     measure_steps,
 )
-from turtlelog.measure.rates import AXES, Axis, describe_repetition, space_poses
-from turtlelog.measure.reductions import compute_median, subtract_neighbours
+from turtlelog.measure.rates import (
+    AXES,
+    Axis,
+    describe_repetition,
+    read_held_commands,
+    space_poses,
+)
+from turtlelog.measure.reductions import Values, compute_median, subtract_neighbours
 from turtlelog.measure.signals import sign_speeds
 from turtlelog.run import PoseColumns, Run, take_rows
 
@@ -55,12 +61,18 @@ _LEFT: Final = 0.1
 robot's centre looks like a marker that is turned."""
 
 
+_BACKWARD: Final = 0.1
+"""Speed along the heading, as a share of the speed, from which its sign is clear."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TravelDirection:
     """The constant angle between a robot's heading and its direction of travel.
 
     Attributes:
-        angle_rad: Direction of travel minus heading, in (-pi/2, pi/2) [rad]; positive to the left.
+        angle_rad: Direction of travel minus heading, in (-pi, pi) [rad]; positive to the left.
+            Beyond a quarter turn only if the reported speed or the commands show which way is
+            forward.
     """
 
     angle_rad: float
@@ -74,7 +86,9 @@ class TravelDirection:
         """Return the angle and its side in words, and what it makes of speeds along the heading."""
         side = "left" if self.angle_rad > 0.0 else "right"
         way = f"the robot travels {abs(math.degrees(self.angle_rad)):.1f} deg to the {side} of its"
-        less = f"speeds along the heading are {100.0 * self.shortfall:.1f} % too small"
+        less = f"speeds along the heading are {100.0 * min(self.shortfall, 1.0):.1f} % too small"
+        if self.shortfall > 1.0 + _BACKWARD:
+            less = "speeds along the heading have the wrong sign"
         return f"{way} heading; {less}"
 
 
@@ -94,7 +108,7 @@ def find_travel_direction(run: Run) -> TravelDirection | None:
     is_other = run.commands.lateral_speed_m_s.any() or run.poses.speed_m_s is not None
     if is_other or run.origin.has_courses or run.origin.has_leaps:
         return None
-    moved_m, turned_rad = _measure_displacements(run.poses)
+    moved_m, turned_rad, ends = _measure_displacements(run.poses)
     sizes_m = np.hypot(moved_m[:, 0], moved_m[:, 1])
     largest_m = float(sizes_m.max(initial=0.0))
     if not largest_m or int((sizes_m > _MOVING * largest_m).sum()) < _FEWEST:
@@ -109,19 +123,49 @@ def find_travel_direction(run: Run) -> TravelDirection | None:
     unexplained = least / (least + most * math.sin(angle_rad) ** 2) if angle_rad else 1.0
     is_clear = most > _LEFT * energy and unexplained < 1.0 - _EXPLAINED
     is_clear &= abs(angle_rad) >= _LEAST_RAD
-    return TravelDirection(angle_rad=angle_rad) if is_clear else None
+    if not is_clear:
+        return None
+    ways = moved_m @ np.array([math.cos(angle_rad), math.sin(angle_rad)])
+    if _goes_against(run, ways, ends):
+        angle_rad -= math.copysign(math.pi, angle_rad)
+    return TravelDirection(angle_rad=angle_rad)
 
 
-def _measure_displacements(poses: PoseColumns) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return displacements along the mean heading and to its left [m], and turns [rad]."""
+_ONE_SIGN: Final = 0.8
+"""Share of the motion with one sign against the reported speed or the commands from which they show
+which way is forward. Commands act late, so a few displacements have the sign of those before."""
+
+
+def _goes_against(run: Run, ways: Values, ends: NDArray[np.int64]) -> bool:
+    """Return whether reported speeds and commands, of which one exists, have the other sign."""
+    time_s = (run.poses.time_ns - run.start_ns) / 1e9
+    told = list[Values]()
+    if (speed := run.poses.measured_speed_m_s) is not None:
+        steps_m = np.diff(time_s) * (speed[1:] + speed[:-1]) / 2.0
+        told.append(np.append(0.0, np.cumsum(steps_m)))
+    if (commands := read_held_commands(run, "speed", None)) is not None:
+        told.append(commands.integrate(time_s))
+    against = [ways * (way_m[ends[1]] - way_m[ends[0]]) for way_m in told]
+    moving = [products for products in against if products.any()]
+    return bool(moving) and all(
+        float(products.sum()) < -_ONE_SIGN * float(np.abs(products).sum()) for products in moving
+    )
+
+
+def _measure_displacements(poses: PoseColumns) -> tuple[Values, Values, NDArray[np.int64]]:
+    """Return displacements along the mean heading and to its left [m], turns [rad], and rows.
+
+    The rows are those of the first and of the last pose of each, shape (2, n).
+    """
     time_s = poses.time_ns / 1e9
     if len(time_s) < 2:
-        return np.zeros((0, 2)), np.zeros(0)
+        return np.zeros((0, 2)), np.zeros(0), np.zeros((2, 0), dtype=np.int64)
     every = math.ceil(_OVER_S / max(compute_median(np.diff(time_s)), 1e-9))
     rows = np.arange(0, len(time_s), every)
     ahead_m, aside_m, turned_rad = measure_steps(take_rows(poses, rows))
     kept = (np.diff(time_s[rows]) <= _MOST_S) & (np.abs(turned_rad) <= _MOST_TURN_RAD)
-    return np.column_stack([ahead_m, aside_m])[kept], turned_rad[kept]
+    ends = np.array([rows[:-1], rows[1:]])
+    return np.column_stack([ahead_m, aside_m])[kept], turned_rad[kept], ends[:, kept]
 
 
 _CHORD_S: Final = 0.5
@@ -181,7 +225,10 @@ def _tell_jumps(run: Run, jumps: Sequence[PoseJump]) -> str:
     is_turn = largest.excess_m <= _JUMPED * way_m and beyond_s2[0] < beyond_s2[1]
     least_m, beyond = np.inf if is_turn else ROUNDING, ""
     parts = [f"{way:.3g} {name}" for name, way in zip(names, signed, strict=True) if way > least_m]
-    if abs(largest.turned_rad) > ROUNDING:
+    # What the robot turned as usual meanwhile is no part of a jump of its position.
+    if abs(largest.turned_rad) > ROUNDING and largest.excess_rad > _JUMPED * abs(
+        largest.turned_rad
+    ):
         parts.append(f"{np.degrees(largest.turned_rad):+.3g} deg")
     if abs(largest.excess_m - way_m) > _JUMPED * way_m and not is_turn:
         beyond = f", {largest.excess_m:.3g} m more than it drove"
@@ -255,7 +302,38 @@ def _describe_resolution(run: Run, metrics: Mapping[str, Metric]) -> dict[str, s
     lead_s = -min((lag for axis in AXES if (lag := _get(metrics, f"run.{axis}_lag"))), default=0.0)
     # A robot without delays has a lag of 0 within half a step.
     leads = {"leads": format_short(lead_s, "s")} if lead_s > step_s else {}
-    return {"rate_step": format_short(1e3 * step_s, "ms"), **leads}
+    return {
+        "rate_step": format_short(1e3 * step_s, "ms"),
+        **leads,
+        **_describe_answers(run, metrics, step_s),
+    }
+
+
+def _describe_answers(run: Run, metrics: Mapping[str, Metric], step_s: float) -> dict[str, str]:
+    """Return notes on silences of commands, and on rise times that are too small, by name."""
+    from turtlelog.measure.metrics.following import find_rise_shortfall  # it needs this module
+    from turtlelog.measure.run_context import MeasureSettings, RunContext
+
+    held = [RunContext(run, MeasureSettings()).get_commands(axis) for axis in AXES]
+    silences_s = [one.silences_s for one in held if one is not None and len(one.silences_s)]
+    found = {}
+    if silences_s:
+        most = max(silences_s, key=len)
+        total = format_short(float(np.diff(most).sum()), "s")
+        found["silences"] = (
+            f"{describe_count(len(most), 'silence')} of the commands, {total} in all"
+        )
+    short_s = {
+        axis: find_rise_shortfall(run, axis)
+        for axis in AXES
+        if _get(metrics, f"run.{axis}_rise_time") is not None
+    }
+    said = [
+        f"{axis.replace('_', ' ')} by up to about {format_short(float(f'{short:.1g}'), 's')}"
+        for axis, short in short_s.items()
+        if short > 2.0 * step_s
+    ]
+    return found | ({"short_rises": join_words(said)} if said else {})
 
 
 def _describe_times(run: Run) -> dict[str, str]:

@@ -197,12 +197,23 @@ class HeldCommands:
         end_s: Time when the last command was published [s]; the duration of its hold is unknown.
         before: Value assumed before the first command: 0 if the robot stood still, otherwise the
             first value.
+        silences_s: Times without commands in which the robot stops by itself [s], shape (k, 2): the
+            value is 0 there, and the time of the stop is unknown.
     """
 
     time_s: Values
     values: Values
     end_s: float
     before: float
+    silences_s: Values
+
+    def find_known(self, edges_s: Values) -> NDArray[np.bool_]:
+        """Return which intervals between successive times are in no silence, shape (n - 1,)."""
+        begins_s, ends_s = self.silences_s.T
+        silent = np.searchsorted(begins_s, edges_s[1:]) - np.searchsorted(
+            ends_s, edges_s[:-1], side="right"
+        )
+        return np.asarray(silent == 0)
 
     def integrate(self, time_s: Values) -> Values:
         """Return the integral of the commands up to each time [m or rad], shape of `time_s`."""
@@ -237,6 +248,12 @@ def read_held_commands(run: Run, axis: Axis, rates: Rates | None) -> HeldCommand
         rows, stops_s = np.flatnonzero(late) + 1, time_s[late] + holds_s
         time_s, values = np.insert(time_s, rows, stops_s), np.insert(values, rows, 0.0)
     end_s = float(time_s[-1])
+    silences_s = np.empty((0, 2))
+    if rates is not None and run.poses.speed_m_s is None:
+        silences_s = _find_silences(time_s, values, rates)
+        rows = np.searchsorted(time_s, silences_s[:, 1])
+        time_s = np.insert(time_s, rows, silences_s[:, 0])
+        values = np.insert(values, rows, 0.0)
     is_new = np.concatenate([[True], subtract_neighbours(values) != 0.0])
     time_s, values = time_s[is_new], values[is_new]
     before = float(values[0])
@@ -244,7 +261,41 @@ def read_held_commands(run: Run, axis: Axis, rates: Rates | None) -> HeldCommand
         row = min(max(int(np.searchsorted(rates.edges_s, time_s[0])) - 1, 0), len(rates.means) - 1)
         stood = abs(float(rates.means[row])) <= abs(before) / 2.0
         before = 0.0 if stood else before
-    return HeldCommands(time_s=time_s, values=values, end_s=end_s, before=before)
+    return HeldCommands(
+        time_s=time_s, values=values, end_s=end_s, before=before, silences_s=silences_s
+    )
+
+
+_SILENT_PERIODS: Final = 4.0
+_SILENT_S: Final = 0.3
+"""Shortest silence of commands in which a robot may stop by itself, in usual periods and in s.
+Watchdogs of commands are set to several periods, and seldom to less than half a second."""
+
+_STOPPED: Final = 0.5
+"""Largest mean rate in the last third of a silence, as a share of the held command, at which the
+robot has stopped. In a silence a little longer than the watchdog's time, the robot still brakes."""
+
+_MOSTLY: Final = 0.5
+"""Share of the silences with a stop from which a watchdog, and no obstacle, stops the robot."""
+
+
+def _find_silences(time_s: Values, values: Values, rates: Rates) -> Values:
+    """Return begin and end of the silences of commands in which the robot stops, shape (k, 2)."""
+    held_s = subtract_neighbours(time_s)
+    if not len(held_s):
+        return np.empty((0, 2))
+    usual_s = compute_median(held_s)
+    is_long = held_s > max(_SILENT_PERIODS * usual_s, _SILENT_S)
+    rows = np.flatnonzero(is_long & (np.abs(values[:-1]) > SAME))
+    has_stopped = list[bool]()
+    for row in rows.tolist():
+        late_s = [time_s[row + 1] - held_s[row] / 3.0, time_s[row + 1]]
+        late = rates.values[slice(*np.searchsorted(rates.time_s, late_s))]
+        is_slow = len(late) > 0 and abs(late.mean()) < _STOPPED * abs(values[row])
+        has_stopped.append(bool(is_slow))
+    if not len(rows) or np.mean(has_stopped) <= _MOSTLY:
+        return np.empty((0, 2))
+    return np.column_stack([time_s[rows] + usual_s, time_s[rows + 1]])
 
 
 MEASURED: Final = ("measured_speed", "measured_turn_rate")

@@ -45,6 +45,21 @@ def test_of_several_goals_the_last_before_the_end_counts(tmp_path: Path) -> None
     assert run.notes["goal"].startswith("the last of 2 from /goal_pose: --goal chooses another")
 
 
+def test_other_poses_in_the_frame_of_a_goal_are_offered(tmp_path: Path) -> None:
+    goal = say_goal(0.0, 3.0, frame="map", at_s=1.0)
+    for frame in ("map", "world"):
+        run = read(tmp_path, say_odometry(), say_odometry("/other/odom_map", frame=frame), goal)
+        option = ": --pose-topic /other/odom_map takes poses in its frame"
+        assert run.notes["goal"].endswith(option) == (frame == "map")
+    assert read(
+        tmp_path,
+        say_odometry(),
+        say_odometry("/other/odom_map", frame="map"),
+        goal,
+        pose_topic="/other/odom_map",
+    ).goal_xy_m == (0.0, 3.0)
+
+
 def test_a_goal_that_is_asked_for_takes_the_place_of_the_bags(tmp_path: Path) -> None:
     run = read(tmp_path, say_odometry(), say_goal(2.0, 1.0), goal=(7.0, 8.0, 0.25))
     assert (run.goal_xy_m, run.goal_heading_rad) == ((7.0, 8.0), 0.25)

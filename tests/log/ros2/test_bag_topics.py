@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from mcap.writer import Writer
 
+from tests.cli.conftest import Call, call as call
 from tests.log.ros2.bags import (
     START_NS,
     Said,
@@ -326,6 +327,62 @@ def test_poses_in_json_are_known_by_their_fields(
         assert run.notes["pose_topic"] == "/where (mine)"
     with pytest.raises(LogError, match=r"topic /a: expected other with a field pose\.orientation"):
         read_run(f"{file}:/a")
+
+
+NUMBER = {"type": "number"}
+
+
+def write_json_drive(path: Path, kind: str, axes: str, topic: str = "/cmd_vel") -> Path:
+    """Write poses, and commands of a type, in JSON."""
+    vector = {"type": "object", "properties": dict.fromkeys(axes, NUMBER)}
+    schemas = {
+        "/pose": ("mine", dict.fromkeys(("x", "y", "yaw"), NUMBER), {"x": 1, "y": 2, "yaw": 0}),
+        topic: (
+            kind,
+            {"linear": vector, "angular": vector},
+            {"linear": dict.fromkeys(axes, 0.5), "angular": dict.fromkeys(axes, -0.25)},
+        ),
+    }
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("", "test")
+        for name, (of, fields, values) in schemas.items():
+            schema = json.dumps({"type": "object", "properties": fields}).encode()
+            number = writer.register_schema(of, "jsonschema", schema)
+            channel = writer.register_channel(name, "json", number)
+            for time_ns in range(3):
+                at_ns = time_ns * 100_000_000
+                writer.add_message(channel, at_ns, json.dumps(values).encode(), at_ns)
+        writer.finish()  # type: ignore[no-untyped-call]
+    return path
+
+
+@pytest.mark.parametrize("kind", ["Cmd", "geometry_msgs/Twist", "geometry_msgs/msg/Twist"])
+def test_commands_in_json_are_known_by_their_fields(kind: str, tmp_path: Path) -> None:
+    run = read_run(write_json_drive(tmp_path / "a.mcap", kind, "xyz"))
+    assert run.commands.speed_m_s.tolist() == [0.5] * 3
+    assert run.commands.turn_rate_rad_s.tolist() == [-0.25] * 3
+    asked = read_run(
+        write_json_drive(tmp_path / "b.mcap", kind, "xyz", "/wanted"), command_topic="/wanted"
+    )
+    assert asked.commands.speed_m_s.tolist() == [0.5] * 3
+
+
+@pytest.mark.parametrize(
+    ("kind", "noun"), [("Cmd", "MCAP file"), ("geometry_msgs/msg/Twist", "ROS 2 bag")]
+)
+def test_a_file_without_types_of_ros_is_no_bag(
+    call: Call, kind: str, noun: str, tmp_path: Path
+) -> None:
+    out = call("info", write_json_drive(tmp_path / "a.mcap", kind, "xyz")).out
+    assert out.startswith(f"a.mcap: {noun} of a robot")
+
+
+def test_a_twist_with_other_fields_says_so(tmp_path: Path) -> None:
+    run = read_run(write_json_drive(tmp_path / "a.mcap", "geometry_msgs/Twist", "ab"))
+    assert run.notes["commands"] == (
+        "commands on /cmd_vel: geometry_msgs/Twist is not read, its fields are not those of a Twist"
+    )
 
 
 def test_a_file_is_named_once(tmp_path: Path) -> None:

@@ -120,11 +120,22 @@ def test_noise_from_pose_to_pose_is_blamed() -> None:
     assert "the poses are more likely wrong from one to the next, where they scatter" in told
 
 
+@pytest.mark.parametrize("drift", [0.0, 0.05])
+def test_noise_of_a_robot_that_stays_contradicts_no_speed(drift: float) -> None:
+    columns = drive(drift, reported=0.0)
+    columns["y"] += np.random.default_rng(0).normal(0.0, 0.003, COUNT)
+    assert (tell(columns) is not None) == (drift > 0.0)
+
+
 @pytest.mark.parametrize(
     ("commanded", "wrong"),
     [
         (0.5, "the reported speed is more likely wrong"),
-        (1.0, "the poses are wrong or the wheels slip, as commands ask for 20 m"),
+        (
+            1.0,
+            "the poses are wrong, the wheels slip, or the reported speed is 2 times the true one;"
+            " commands ask for 20 m",
+        ),
         (0.74, "nothing tells"),
     ],
 )

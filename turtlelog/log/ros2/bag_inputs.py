@@ -4,6 +4,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from typing import Any, Final
@@ -19,6 +20,7 @@ from turtlelog.log.planar_poses import (
     TWIST_TYPES,
     Fields,
     Values,
+    find_twist,
     read_twist,
     widen,
 )
@@ -81,6 +83,19 @@ _MOST_LOOKED_AT: Final = 50
 """Number of messages of a path that are compared with the robot's position. The median decides."""
 
 
+def find_commands(
+    bag: Bag, topics: Sequence[TopicInfo], choice: ReadChoice, *, pose_topic: str
+) -> tuple[bag_topics.Pick | None, str]:
+    """Return the topic of the commands by its type or its fields, or the reason for none."""
+    pick, lack = choose_commands(topics, choice, pose_topic=pose_topic)
+    if pick is None:
+        for topic in _list_named(topics):
+            with suppress(LogError):  # texts and lists: no commands
+                if any(find_twist(one.fields) is not None for one in bag.read_topic(topic.topic)):
+                    return bag_topics.Pick(topic=topic), ""
+    return pick, lack
+
+
 def choose_commands(
     topics: Sequence[TopicInfo], choice: ReadChoice, *, pose_topic: str
 ) -> tuple[bag_topics.Pick | None, str]:
@@ -105,13 +120,24 @@ def choose_commands(
     return None, f"commands on {steered.source.describe()}: {NEEDS_WHEELBASE}"
 
 
-def _describe_unread(topics: Iterable[TopicInfo]) -> str:
+def _describe_unread(topics: Sequence[TopicInfo]) -> str:
     """Return the first topic that is named as commands and has another type; may be empty."""
-    for one in topics:
-        is_named = bag_topics.rank_name(one.topic, _COMMAND_NAMES) < len(_COMMAND_NAMES)
-        if is_named and one.count and not one.reason and one.type not in COMMAND_TYPES:
-            return f"commands on {one.topic}: {one.type} is not read, Twist and AckermannDrive are"
+    for one in _list_named(topics):
+        known = "Twist and AckermannDrive are"
+        if bag_topics.take_last(one.type) in {"Twist", "TwistStamped"}:
+            known = "its fields are not those of a Twist"
+        return f"commands on {one.topic}: {one.type} is not read, {known}"
     return ""
+
+
+def _list_named(topics: Sequence[TopicInfo]) -> list[TopicInfo]:
+    """Return readable topics of other types that are named as commands, the usual name first."""
+    ranks = {one.topic: bag_topics.rank_name(one.topic, _COMMAND_NAMES) for one in topics}
+    named = (
+        one for one in topics if one.count and not one.reason and one.type not in COMMAND_TYPES
+    )
+    fitting = [one for one in named if ranks[one.topic] < len(_COMMAND_NAMES)]
+    return sorted(fitting, key=lambda one: ranks[one.topic])
 
 
 def choose_command_topic(
@@ -208,7 +234,8 @@ def _extract_commands(kind: str, fields: Fields, *, wheelbase_m: float | None) -
             "lateral_speed": np.zeros_like(speed_m_s),
             "turn_rate": speed_m_s * np.tan(steering_rad) / wheelbase_m,
         }
-    return read_twist(fields, COMMAND_TYPES[kind])
+    prefix = COMMAND_TYPES.get(kind)
+    return read_twist(fields, (find_twist(fields) or "") if prefix is None else prefix)
 
 
 def build_bag_commands(rows: OrderedRows | None, start_ns: int) -> CommandColumns:
@@ -243,6 +270,7 @@ def add_references(
         changes, notes["goal"] = {"goal_xy_m": xy_m, "goal_heading_rad": heading_rad}, "as given"
     if goal_topic is not None:
         changes, notes["goal"], since_ns = _find_goal(goals, goal_topic.topic, track)
+        notes["goal"] += "" if changes else _offer_poses(run, bag, goals, track)
         goal_given_ns = track.locate_time(run, since_ns) if changes else None
         notes |= {} if goal_given_ns is None else {"goal_set_ns": str(goal_given_ns)}
     if paths:
@@ -264,6 +292,17 @@ def add_references(
     absent = tuple(name for name in run.absent if name not in known)
     origin = replace(run.origin, goal_given_ns=goal_given_ns, path_given_ns=path_given_ns)
     return replace(run, absent=absent, origin=origin, notes={**run.notes, **notes}, **changes)
+
+
+def _offer_poses(run: Run, bag: Bag, goals: Sequence[TopicColumns], track: RobotTrack) -> str:
+    """Return the option for other poses in the frame of a goal that is left out; may be empty."""
+    frames = {name_frame(columns) for columns in goals} - {track.frame, ""}
+    others = filter(None, run.notes.get("other_pose_topics", "").split(", "))
+    for name in others:
+        with suppress(LogError):  # they are not read
+            if frames & {name_frame(columns) for columns in bag.read_topic(name)}:
+                return f": --pose-topic {name} takes poses in its frame"
+    return ""
 
 
 def _choose_path_topics(

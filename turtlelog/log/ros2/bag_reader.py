@@ -105,7 +105,7 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
             run, topic = _read_commands_alone(bag, distinct, choice, err)
             named = describe_robots(robots, topic, choice.robot)
             return _note_rest(run, bag, distinct, choice, named)
-        commands, lack = bag_inputs.choose_commands(distinct, choice, pose_topic=source.home)
+        commands, lack = bag_inputs.find_commands(bag, distinct, choice, pose_topic=source.home)
         names = {commands.topic.topic} if commands else set()
         if source.topic.topic == POSE.name:
             names |= {topic.topic for topic in distinct if (topic.topic, topic.type) == _SENSED}

@@ -277,7 +277,7 @@ def find_asked(
     if found is None:
         names = _describe(present, "{0.topic}")
         raise LogError(f"{name}: expected a topic with messages, found {asked} among {names}")
-    is_free = name == "pose_topic" and not _ROS_TYPE.fullmatch(found.type)
+    is_free = name in {"pose_topic", "command_topic"} and not _ROS_TYPE.fullmatch(found.type)
     # The reader reports an undecodable topic, with the name of its file.
     if found.type not in types and not is_free and not found.reason:
         raise LogError(f"{name} {asked}: expected {' or '.join(types)}, found {found.type}")

@@ -51,6 +51,7 @@ class Paths:
         is_still: Whether the poses never move.
         by_poses: Sum of distances from pose to pose.
         by_strides: Sum of distances between poses 0.2 s apart.
+        by_medians: Sum of distances between the median poses of each second; None for a short time.
         by_speed: Integral of the magnitude of the reported velocity; None without reports.
         in_jumps: Sum of the excess of single steps over the reported velocity.
         by_commands: Integral of the magnitude of the commands; None without commands.
@@ -59,6 +60,7 @@ class Paths:
     is_still: bool
     by_poses: float
     by_strides: float
+    by_medians: float | None
     by_speed: float | None
     in_jumps: float
     by_commands: float | None
@@ -99,10 +101,25 @@ def measure_paths(
         is_still=bool((np.ptp(xy_m, axis=0) <= _STILL_M).all()),
         by_poses=float(way_m.sum()),
         by_strides=float(strides_m[np.diff(time_ns[rows]) <= _LONGEST_NS].sum()),
+        by_medians=_measure_medians(time_ns, xy_m),
         by_speed=None if driven_m is None else float(driven_m.sum()),
         in_jumps=float(jumps_m.sum()) if is_few else 0.0,
         by_commands=by_commands,
     )
+
+
+_FEWEST_SECONDS: Final = 3
+
+
+def _measure_medians(time_ns: TimesNs, xy_m: Values) -> float | None:
+    """Return the length through the median positions of each second: noise hardly adds to it."""
+    seconds = (time_ns - time_ns[0]) // _LONGEST_NS
+    if seconds[-1] < _FEWEST_SECONDS:
+        return None
+    starts = np.flatnonzero(np.diff(seconds, prepend=-1))
+    middles = (starts + np.append(starts[1:], len(seconds)) - 1) // 2
+    medians = np.column_stack([one[np.lexsort((one, seconds))][middles] for one in xy_m.T])
+    return float(np.hypot(*np.diff(medians, axis=0).T).sum())
 
 
 def thin_rows(time_ns: TimesNs, stride_ns: int) -> NDArray[np.int64]:
@@ -133,6 +150,8 @@ def _find_contradiction(paths: Paths, others: str | None) -> tuple[str, str] | N
         return None
     if not _differ(paths.by_poses, paths.by_speed):
         return None
+    if paths.by_medians is not None and max(paths.by_medians, paths.by_speed) < _LEAST_M:
+        return None  # the robot turns in place, or rests, and its positions scatter
     by_poses, by_speed = (format_short(one, "m") for one in (paths.by_poses, paths.by_speed))
     found = f"the path is {by_poses} by the poses and {by_speed} by the reported speed"
     blamed, is_speed = _blame(paths, paths.by_speed)
@@ -165,7 +184,9 @@ def _blame(paths: Paths, by_speed: float) -> tuple[str, bool]:
             asked = format_short(paths.by_commands, "m")
             if off_m[0] > off_m[1]:
                 # Slipping wheels turn as commanded, and the odometry reports that.
-                return f"the poses are wrong or the wheels slip, as commands ask for {asked}", False
+                ratio = f"{by_speed / max(paths.by_strides, _STILL_M):.2g}"
+                wrong = "the poses are wrong, the wheels slip, or the reported speed is"
+                return f"{wrong} {ratio} times the true one; commands ask for {asked}", False
             return f"the reported speed is more likely wrong, as commands ask for {asked}", True
     return "nothing tells which is wrong", False
 
@@ -379,6 +400,20 @@ every few seconds. In milliseconds, this is 200 Hz."""
 _FASTEST_M_S: Final = 100.0
 """Largest usual speed that is not doubted in metres [m/s]: a racing car's, or 0.1 m/s in mm."""
 
+_CRAWL_M_S: Final = 0.01
+_LEAST_EXTENT_M: Final = 0.1
+"""Speed below which a robot crawls for all of its way, which is not within its own noise, so that
+whole numbers of seconds are doubted [m/s, m]: slower than what counts as rest."""
+
+_CURVE_NS: Final = 500_000_000
+_STRONGEST_M_S2: Final = 30.0
+"""Time over which accelerations are measured [ns], and the largest that is not doubted in a tenth
+of it [m/s^2]: 3 g, twice that of a racing kart. 0.5 m/s and 1 rad/s in cm are 50 m/s^2."""
+
+_ACCELERATED: Final = 0.9
+_FEWEST_CURVES: Final = 12
+_SECOND_NS: Final = 1_000_000_000
+
 
 def describe_units(
     time_ns: NDArray[np.int64], xy_m: NDArray[np.float64], columns: Mapping[str, str] | None
@@ -406,7 +441,43 @@ def describe_units(
     if columns and {"x", "y"} <= {*columns} and usual_m_s > _FASTEST_M_S:
         option = " ".join(f"--column {axis}='{columns[axis]} [mm]'" for axis in "xy")
         return f"x and y are assumed to be in m, so {speed} is usual; if they are mm: {option}"
-    return ""
+    columns = columns or {}
+    return _describe_curves(time_ns, xy_m, columns) or _describe_crawl(time_ns, xy_m, columns)
+
+
+def _describe_curves(time_ns: TimesNs, xy_m: Values, columns: Mapping[str, str]) -> str:
+    """Return a sentence on positions whose accelerations no robot on the ground has in metres."""
+    rows = thin_rows(time_ns, _CURVE_NS)
+    if not {"x", "y"} <= {*columns} or len(rows) < _FEWEST_CURVES:
+        return ""
+    step_s = np.diff(time_ns[rows]) / 1e9
+    speeds_m_s = np.diff(xy_m[rows], axis=0) / step_s[:, np.newaxis]
+    change_m_s = np.hypot(*np.diff(speeds_m_s, axis=0).T)
+    strong = float(np.quantile(change_m_s / ((step_s[1:] + step_s[:-1]) / 2.0), _ACCELERATED))
+    if strong <= _STRONGEST_M_S2:
+        return ""
+    option = " ".join(f"--column {axis}='{columns[axis]} [cm]'" for axis in "xy")
+    found = (
+        f"x and y are assumed to be in m, so accelerations reach {format_short(strong, 'm/s^2')}"
+    )
+    return f"{found}; if they are cm (or mm): {option}"
+
+
+def _describe_crawl(time_ns: TimesNs, xy_m: Values, columns: Mapping[str, str]) -> str:
+    """Return a sentence on times in whole seconds in which a robot is never faster than rest."""
+    step_ns = np.diff(time_ns)
+    if "t" not in columns or (step_ns % _SECOND_NS).any() or not step_ns.all():
+        return ""
+    fastest_m_s = float(np.quantile(np.hypot(*np.diff(xy_m, axis=0).T) / (step_ns / 1e9), 0.99))
+    if fastest_m_s > _CRAWL_M_S or float(np.ptp(xy_m, axis=0).max()) < _LEAST_EXTENT_M:
+        return ""
+    step, speed = (
+        format_short(float(np.median(step_ns)) / 1e9, "s"),
+        format_short(fastest_m_s, "m/s"),
+    )
+    option = f"--column t='{columns['t']} [ms]'"
+    slow = f"so poses are {step} apart and the robot drives at most {speed}"
+    return f"times are assumed to be in s, {slow}; if they are ms: {option}"
 
 
 def note_motion(

@@ -22,14 +22,16 @@ from turtlelog.measure.metric_kinds import run_metric
 from turtlelog.measure.pose_noise import find_dither_step
 from turtlelog.measure.rates import AXES, NEAR, SAME, Axis, HeldCommands, Rates
 from turtlelog.measure.reductions import Values, compute_median, subtract_neighbours, sum_products
-from turtlelog.measure.run_context import RunContext
+from turtlelog.measure.run_context import MeasureSettings, RunContext
 from turtlelog.measure.signals import find_no_commands
 from turtlelog.measure.step_response import (
     RISE_BEGIN,
+    RISE_END,
     find_overshoot,
     find_rise,
     find_settling_time,
 )
+from turtlelog.run import Run
 
 EARLIEST_S: Final = -0.5
 LATEST_S: Final = 2.0
@@ -89,7 +91,8 @@ def _compute_rms(rates: Rates, commands: HeldCommands) -> Result:
     rows = _select(rates, commands)
     if rows is None:
         return _APART
-    edges_s, is_seen = rates.edges_s[rows.start : rows.stop + 1], rates.is_seen[rows]
+    edges_s = rates.edges_s[rows.start : rows.stop + 1]
+    is_seen = rates.is_seen[rows] & commands.find_known(edges_s)
     if not is_seen.any():
         return _APART
     step_s = subtract_neighbours(edges_s)
@@ -114,7 +117,10 @@ def _compute_lag(rates: Rates, commands: HeldCommands) -> Result:
     if not _has_change(commands, float(edges_s[0]), float(edges_s[-1])):
         reason = "the commands do not change: nothing shows how late the robot follows"
         return Missing(Status.UNDETERMINED, reason)
-    return find_lag(edges_s, rates.means[rows], commands, rates.is_seen[rows])
+    is_seen = rates.is_seen[rows] & commands.find_known(edges_s)
+    if np.count_nonzero(is_seen) < _FEWEST:
+        return Missing(Status.TOO_SHORT, "commands are silent for most of the time")
+    return find_lag(edges_s, rates.means[rows], commands, is_seen)
 
 
 def _has_change(commands: HeldCommands, begin_s: float, end_s: float) -> bool:
@@ -266,6 +272,7 @@ def find_command_steps(commands: HeldCommands, begin_s: float, end_s: float) -> 
     least = LEAST_STEP * float(np.abs(values).max(initial=0.0))
     is_step = (held_s[:-1] >= HELD_BEFORE_S - _GRAIN_S) & (held_s[1:] >= HELD_AFTER_S - _GRAIN_S)
     is_step &= (np.abs(subtract_neighbours(values)) >= max(least, SAME)) & (starts_s[1:] >= begin_s)
+    is_step &= ~np.isin(starts_s[1:], commands.silences_s[:, 0])  # the robot stops at another time
     return [
         CommandStep(
             time_s=float(starts_s[row + 1]),
@@ -314,9 +321,14 @@ def _measure_step(
     most = 2.0 * _WIDEST * abs(size)
     is_seen = scatter <= most and _SCATTER * float(np.std(before)) <= most and quantum <= _MARK
     is_seen &= finest <= _MARK * abs(size)
-    figures: StepFigures = {"rise_time": None, "settling_time": None, "overshoot": None}
+    figures: StepFigures = dict.fromkeys(_FIGURES)
     if is_seen and not math.isnan(rise_end_s):
         figures["rise_time"] = rise_end_s - rise_begin_s
+        # A motion that has not settled adds to the first, noise of the poses to the second.
+        spread = float(np.std(settled)), float(np.std(np.diff(settled))) / math.sqrt(2.0)
+        noise = min(spread) / abs(size)
+        until_s = end_s - (end_s - step.time_s) / 6.0 - rise_begin_s
+        figures["rise_shortfall"] = _estimate_shortfall(rise_end_s - rise_begin_s, until_s, noise)
     if share > _WIDEST or quantum > max(band, _BAND):
         return figures
     band = max(band, _BAND, share)
@@ -326,6 +338,25 @@ def _measure_step(
     overshoot = find_overshoot(inside, initial, final)
     figures["overshoot"] = overshoot if overshoot > band else 0.0
     return figures
+
+
+_FIGURES: Final = ("rise_time", "settling_time", "overshoot", "rise_shortfall")
+
+_ROUNDS: Final = 5
+
+
+def _estimate_shortfall(rise_s: float, until_s: float, noise: float) -> float:
+    """Return by how much a rise time is too small [s], for the response of a first-order lag.
+
+    The final value is that after `until_s`, when the robot may not have settled, and noise (a share
+    of the response) goes beyond 90 % too early.
+    """
+    ratio = math.log(9.0)
+    for _ in range(_ROUNDS):
+        done = 1.0 - math.exp(-until_s * ratio / max(rise_s, 1e-9))
+        end = RISE_END * done - noise
+        ratio = math.log((1.0 - RISE_BEGIN * done) / (1.0 - max(end, 0.5)))
+    return max(rise_s * (math.log(9.0) / ratio - 1.0), 0.0)
 
 
 def _find_quantum(values: Values, initial: float, final: float) -> float:
@@ -384,6 +415,30 @@ def _find_rate_resolution(context: RunContext, axis: Axis, rates: Rates) -> floa
     return finest / compute_median(subtract_neighbours(rates.edges_s))
 
 
+def _find_answers(
+    context: RunContext, axis: Axis, rates: Rates, steps: list[CommandStep]
+) -> list[StepFigures]:
+    """Return the figures of all steps that the robot answers."""
+
+    def answer() -> list[StepFigures]:
+        band, finest = context.settings.band, _find_rate_resolution(context, axis, rates)
+        answers = (_measure_step(rates, step, band, finest) for step in steps)
+        return [one for one in answers if one is not None]
+
+    return context.recall(("answers", axis), answer)
+
+
+def find_rise_shortfall(run: Run, axis: Axis) -> float:
+    """Return by how much the rise time of an axis, which has one, is probably too small [s]."""
+    context = RunContext(run, MeasureSettings())
+    steps, rates = _find_steps(context, axis), context.get_rates(axis)
+    if isinstance(steps, Missing) or rates is None:
+        return 0.0
+    figures = _find_answers(context, axis, rates, steps)
+    known = [value for one in figures if (value := one["rise_shortfall"]) is not None]
+    return compute_median(np.array(known)) if known else 0.0
+
+
 def _take_median(axis: Axis, name: str, factor: float = 1.0) -> Callable[[RunContext], Result]:
     def compute(context: RunContext) -> Result:
         steps, rates = _find_steps(context, axis), context.get_rates(axis)
@@ -396,11 +451,7 @@ def _take_median(axis: Axis, name: str, factor: float = 1.0) -> Callable[[RunCon
         if period_s * _FEWEST_RATES > NEAR * HELD_AFTER_S:
             reason = f"poses at {1.0 / period_s:.3g} Hz, and it takes {_FEWEST_RATES} Hz"
             return Missing(Status.TOO_SHORT, reason)
-        band, finest = context.settings.band, _find_rate_resolution(context, axis, rates)
-        answers = (_measure_step(rates, step, band, finest) for step in steps)
-        figures = context.recall(
-            ("answers", axis), lambda: [one for one in answers if one is not None]
-        )
+        figures = _find_answers(context, axis, rates, steps)
         known = [value for one in figures if (value := one[name]) is not None]
         if not known:
             return _NOT_SEEN if figures else _NO_ANSWER
