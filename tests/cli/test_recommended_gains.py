@@ -220,6 +220,28 @@ def test_gains_that_settle_earlier_are_no_better_if_the_run_ends_later(call: Cal
     assert not last["is_better"]
 
 
+@pytest.mark.parametrize("kp", [30.0, 120.0])
+def test_gains_with_which_the_run_ends_earlier_and_nearer_are_better(kp: float, call: Call) -> None:
+    """Commands are clipped, so all of these gains settle within a tick of each other."""
+    words = ("theory", "textbook", "--kp", f"{kp:g}")
+    first, *_ = call(*words, "--json").json["trials"]
+    assert first["ending"].startswith("reached the goal within 0.789 mm after 8 s")
+    assert first["is_better"]
+    assert "recommended Kp = 65.6 1/s (rotate and" in " ".join(call(*words).out.split())
+    present, better = (tl.simulate_run("textbook", kp=one) for one in (kp, 65.6))
+    assert not is_better(present, better, ("rotate", "translate"))
+    assert not is_better(better, better, ("rotate", "translate"))
+
+
+def test_a_run_that_ends_earlier_but_farther_from_its_goal_is_no_better() -> None:
+    coarse, fine = (
+        tl.simulate_run("textbook", changes={"law.position_tolerance_m": one})
+        for one in (0.01, 0.001)
+    )
+    assert coarse.duration_s < fine.duration_s - 1.0
+    assert not is_better(coarse, fine, ("rotate", "translate"))
+
+
 def test_gains_of_a_recording_that_cannot_be_simulated_are_not_tried(
     call: Call, tmp_path: Path
 ) -> None:
