@@ -124,9 +124,22 @@ class Recommended(NamedTuple):
     steps: str = ""
 
     def find_best(self, controller: str) -> "tl.theory.Recommendation | None":
-        """Return the first recommended gains of a controller, or else of P; None without either."""
-        known = {one.controller: one for one in reversed(self.found) if one.gains}
+        """Return gains of a controller that fulfil a wish, or else of P; None without either."""
+        wished = [one for one in self.found if one.gains and one.rule in _RULES]
+        known = {one.controller: one for one in reversed(wished)}
         return known.get(controller) or known.get("P")
+
+    def find_missing(self, controller: str) -> "tl.theory.Recommendation | None":
+        """Return the first wish that no gains of a controller, or of P if it has none, fulfil.
+
+        None if other gains of this controller are recommended.
+        """
+        best = self.find_best(controller)
+        if best is not None and best.controller == controller:
+            return None
+        missing = [one for one in self.found if one.reason and one.rule in _RULES]
+        known = {one.controller: one for one in reversed(missing)}
+        return known.get(controller) if best else next(iter(missing), None)
 
     def keeps(self, given: "tl.theory.Recommendation") -> bool:
         """Return whether given gains need no change."""
