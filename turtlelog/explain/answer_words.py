@@ -405,7 +405,9 @@ def write_joint_parts(
         if abs(case.value) <= NAMED * total or not is_clear(case.value, case.standard_error):
             continue
         of = [names.get(name, name) for name in case.causes]
-        sentences.append(_write_joint_part(case, of, _sum_apart(case, sizes, together), format_size))
+        sentences.append(
+            _write_joint_part(case, of, _sum_apart(case, sizes, together), format_size)
+        )
     return " ".join(sentences)
 
 
