@@ -379,3 +379,13 @@ def test_all_runs_have_the_names_of_files_if_one_has(call: Call, tmp_path: Path)
     assert "\nlong.mcap " in out
     assert "\nplain.mcap: textbook\n" in out
     assert "\nlong.mcap: textbook max_duration_s=30\n" in out
+
+
+def test_a_jump_of_the_poses_is_told_beside_the_other_runs(call: Call, tmp_path: Path) -> None:
+    for name, jump_m in (("smooth", 0.0), ("jumps", 3.0)):
+        rows = [f"{0.1 * k:.1f},{0.02 * k + jump_m * (k > 50):.2f},0,0" for k in range(100)]
+        (tmp_path / f"{name}.csv").write_text("\n".join(["time [s],x [m],y [m],heading", *rows]))
+    files = [tmp_path / f"{name}.csv" for name in ("smooth", "jumps")]
+    told = " ".join(call("compare", *files).out.split())
+    assert "The path length of jumps counts as driven: " in told
+    assert "The path length of smooth counts" not in told

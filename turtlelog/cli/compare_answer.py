@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
 from turtlelog.cli import console, options
+from turtlelog.cli.metrics_answer import list_motion
 from turtlelog.cli.work import watch_summaries
 from turtlelog.display import describe_count, format_range, join_words
 from turtlelog.errors import TurtlelogError
@@ -145,6 +146,8 @@ def _format_across(
     )
     conditions = ranking.list_notes(names)
     told = [one for one in table.notes if one not in conditions]
+    jumps = [text for one in summaries for text in list_motion(one, f" of {one.name}", ["jumps"])]
+    told += jumps[:_MOST_NOTES]
     more = len(conditions) - _MOST_NOTES
     if more > 0:
         conditions = [*conditions[:_MOST_NOTES], f"{describe_count(more, 'more note')}: --json."]
