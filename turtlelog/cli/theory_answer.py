@@ -271,8 +271,8 @@ def _conclude(
     changed = _list_gains([(one.loop, one.best) for one in advice if not one.is_kept])
     kept = _list_gains([(one.loop, one.given) for one in advice if one.is_kept])
     if not any(one.best for one in advice):
-        missing = next((one.missing for one in advice if one.missing), None)
-        yield f"{name}: {_tell_missing(missing, wishes)}."
+        unmet = next((one.missing for one in advice if one.missing), None)
+        yield f"{name}: {_tell_missing(unmet, wishes)}."
         return
     told = [f"recommended {changed}"] if changed else []
     told += [f"keep {kept}"] if kept else []
