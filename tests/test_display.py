@@ -14,6 +14,7 @@ from turtlelog.display import (
     NamedValues,
     cut_name,
     format_html,
+    format_number,
     format_range,
     format_short,
     parse_utc,
@@ -286,3 +287,8 @@ def test_short_numbers_hide_rounding_and_show_whole_thousands(
     number: float, unit: str, text: str
 ) -> None:
     assert format_short(number, unit) == text
+
+
+@pytest.mark.parametrize(("number", "text"), [(-0.0, "0 %"), (0.0, "0 %"), (-0.5, "-0.5 %")])
+def test_a_zero_is_printed_without_a_sign(number: float, text: str) -> None:
+    assert format_number(number, "%") == text

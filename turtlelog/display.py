@@ -94,7 +94,7 @@ def format_number(number: float | None, unit: str = "") -> str:
     if number is None:
         return "-"
     number, unit = show_angle(number, unit)
-    return _add_unit(f"{number:.5g}", unit)
+    return _add_unit(f"{number + 0.0:.5g}", unit)  # -0 is printed as 0
 
 
 def format_short(number: float, unit: str = "") -> str:

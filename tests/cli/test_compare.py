@@ -337,3 +337,55 @@ def test_a_worse_robot_is_explained_by_what_its_log_contains(call: Call, tmp_pat
     failed = call("check", bounds, files[1])
     assert failed.code == 1
     assert "turtlelog explain" not in failed.out
+
+
+def test_a_run_that_was_cut_is_explained_by_its_difference_from_the_other(
+    call: Call, tmp_path: Path
+) -> None:
+    whole, cut = tmp_path / "whole.mcap", tmp_path / "cut.mcap"
+    call("run", "textbook", "-o", whole)
+    call("run", "textbook", "--set", "max_duration_s=3", "-o", cut)
+    out = " ".join(call("compare", whole, cut).out.replace("\\\n", "").split())
+    command = f"turtlelog compare {whole} {cut} --why final.position_error"
+    assert f"Why is cut.mcap worse? {command}" in out
+    told = " ".join(call("explain", cut).out.split())
+    assert told.startswith(
+        "The run was cut after 2.99 s (max_duration), in the phase rotate. Translate never began."
+    )
+    assert "was cut" not in call("explain", whole).out
+    assert "was cut" not in call("explain", cut, "--metric", "run.path_length").out
+
+
+def test_gains_without_any_effect_are_explained_by_the_difference(
+    call: Call, tmp_path: Path
+) -> None:
+    fast, slow = tmp_path / "fast.mcap", tmp_path / "slow.mcap"
+    call("run", "textbook", "--kp", "120", "-o", fast)
+    call("run", "textbook", "--kp", "62.5", "-o", slow)
+    out = " ".join(call("compare", fast, slow).out.replace("\\\n", "").split())
+    command = f"turtlelog compare {slow} {fast} --why final.position_error"
+    assert f"Why is textbook kp=120 worse? {command}" in out
+    call("run", "textbook", "--kp", "120", "--set", "loop.transport_delay_ticks=1", "-o", fast)
+    out = " ".join(call("compare", fast, slow).out.replace("\\\n", "").split())
+    assert f"Why is fast.mcap worse? turtlelog explain {fast}" in out
+
+
+def test_all_runs_have_the_names_of_files_if_one_has(call: Call, tmp_path: Path) -> None:
+    plain, long = tmp_path / "plain.mcap", tmp_path / "long.mcap"
+    call("run", "textbook", "-o", plain)
+    call("run", "textbook", "--set", "max_duration_s=30", "-o", long)
+    out = call("compare", plain, long).out
+    assert "\nplain.mcap " in out
+    assert "\nlong.mcap " in out
+    assert "\nplain.mcap: textbook\n" in out
+    assert "\nlong.mcap: textbook max_duration_s=30\n" in out
+
+
+def test_a_jump_of_the_poses_is_told_beside_the_other_runs(call: Call, tmp_path: Path) -> None:
+    for name, jump_m in (("smooth", 0.0), ("jumps", 3.0)):
+        rows = [f"{0.1 * k:.1f},{0.02 * k + jump_m * (k > 50):.2f},0,0" for k in range(100)]
+        (tmp_path / f"{name}.csv").write_text("\n".join(["time [s],x [m],y [m],heading", *rows]))
+    files = [tmp_path / f"{name}.csv" for name in ("smooth", "jumps")]
+    told = " ".join(call("compare", *files).out.split())
+    assert "The path length of jumps counts as driven: " in told
+    assert "The path length of smooth counts" not in told

@@ -135,6 +135,15 @@ def test_recordings_of_runs_are_compared_in_the_plane(call: Call, tmp_path: Path
     assert "take se2" in call(*words, "--align", "se3").err
 
 
+def test_the_advised_picture_is_not_of_the_reference_itself(
+    call: Call, files: Sequence[Path]
+) -> None:
+    truth, estimate = files
+    found = call("compare", truth, estimate, "--reference", truth, "--ate")
+    picture = f"Picture: turtlelog compare {estimate} --reference {truth} --ate"
+    assert picture in " ".join(found.out.replace("\\\n", "").split())
+
+
 def test_a_picture_of_trajectories_is_written(call: Call, files: Sequence[Path]) -> None:
     """The first figure loads matplotlib."""
     words = ("compare", files[1], "--reference", files[0], "--ate", "--plot")

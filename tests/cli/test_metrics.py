@@ -364,3 +364,15 @@ def test_reported_rates_that_the_poses_contradict_are_no_facts(
     rows = [f"{step},{step},0,0,{speed}" for step in range(20)]
     file.write_text("\n".join(["t,x,y,yaw,v", *rows]))
     assert f"{told}the turn rate is a difference of poses." in call("metrics", file).flat
+
+
+def test_a_heading_loop_whose_reference_moves_is_told_apart_from_the_final_heading(
+    call: Call, tmp_path: Path
+) -> None:
+    """The posture law keeps turning until it stops: the bearing of a near goal moves fast."""
+    words = ("run", "posture", "--goal", "5.544,3", "--kp", "2", "-o", tmp_path / "posture.mcap")
+    told = " ".join(call(*words).out.split())
+    assert "Final heading error: 0.0539 deg." in told
+    follows = "align follows a bearing that moves with the robot: its final loop error is not the"
+    assert f"{follows} final heading error." in told
+    assert "follows a bearing" not in call("run", "textbook").out

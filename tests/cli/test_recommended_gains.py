@@ -60,10 +60,50 @@ def test_gains_that_do_not_exist_are_null_with_their_reason(call: Call) -> None:
     assert [(one["kp"], one["ki"], one["kd"]) for one in found] == [(None, None, None)] * 3
     assert found[0]["reason"].startswith("the integrator alone lags by 90 deg")
     words = ("theory", "--dead-time", "6", "--phase-margin", "90", "--kp", "1")
-    first = "Recommended without command limits: P with Kp = 4.81 1/s."
-    assert call(*words).out.startswith(f"{first}\nThis is for the rule of SIMC.\n")
+    told = " ".join(call(*words).out.split())
+    first = "No gains are recommended for 90 deg phase margin: the integrator alone lags by 90 deg"
+    assert told.startswith(first)
+    assert "SIMC" not in told
+    told = " ".join(call("theory", "lagged", "--phase-margin", "90").out.split())
+    assert told.startswith("lagged: no gains are recommended for 90 deg phase margin: the integ")
+    assert "SIMC" not in told
     text = " ".join(call(*words, "--details").out.split())
     assert "No P for 90 deg margin and PI for 90 deg margin: the integrator alone lags" in text
+
+
+def test_a_controller_that_cannot_have_the_wanted_overshoot_is_told_in_the_first_sentence(
+    call: Call,
+) -> None:
+    robot = ("--ki", "1", "--lag", "0.1", "--dead-time-s", "0.08", "--period", "0.05")
+    told = " ".join(call("theory", "--kp", "2", *robot, "--overshoot", "0").out.split())
+    assert told.startswith(
+        "Recommended without command limits: P with Kp = 1.58 1/s,"
+        " because theory finds no PI for 0 % overshoot."
+    )
+    assert "On a plant that integrates, an integral always overshoots" in told
+    pid = ("--set", "law.kind=sequential-pid", "--set", "law.ki_angular=0.2")
+    told = " ".join(call("theory", "lagged", *pid, "--overshoot", "0").out.split())
+    assert "theory finds no PI for 0 % overshoot (rotate)" in told.partition(". ")[0]
+    wished = " ".join(call("theory", "--kp", "2", *robot).out.split())
+    assert wished.startswith("Recommended without command limits: PI with Kp = ")
+    assert "because no" not in wished
+
+
+def test_gains_of_a_very_slow_loop_are_compared_in_every_figure(call: Call) -> None:
+    slow = ("theory", "--lag", "40", "--kp")
+    told = " ".join(call(*slow, "2").out.split())
+    better = "in overshoot (8.77 % instead of 84.1 %), settling time (292 s instead of 312 s),"
+    assert f"Better than Kp = 2 1/s {better} gain margin and phase margin." in told
+    kept = " ".join(call(*slow, "0.0168").out.split())  # 0.8 % more than the recommended gain
+    assert kept.startswith("Without command limits, Kp = 0.0168 1/s needs no change.")
+    changed = " ".join(call(*slow, "0.0169").out.split())  # 1.4 % more
+    assert changed.startswith("Recommended without command limits: P with Kp = 0.0167 1/s.")
+
+
+def test_gains_that_no_kp_makes_stable_are_told_as_unstable_at_every_kp(call: Call) -> None:
+    out = call("theory", "--kp", "3", "--kd", "2", "--dead-time", "6").out
+    assert "\nUnstable at every Kp.\n" in out
+    assert "of no value" not in out
 
 
 def test_ticks_and_seconds_of_dead_time_are_recommended_for_alike(call: Call) -> None:
@@ -218,6 +258,31 @@ def test_gains_that_settle_earlier_are_no_better_if_the_run_ends_later(call: Cal
     assert "after 11 s (settling time: rotate 2.82 s" in last["present_ending"]
     assert "(settling time: rotate 2.35 s" in last["ending"]
     assert not last["is_better"]
+
+
+@pytest.mark.parametrize("kp", [30.0, 120.0])
+def test_gains_with_which_the_run_ends_earlier_and_nearer_are_better(kp: float, call: Call) -> None:
+    """Commands are clipped, so all of these gains settle within a tick of each other."""
+    words = ("theory", "textbook", "--kp", f"{kp:g}")
+    first, *_ = call(*words, "--json").json["trials"]
+    assert first["ending"].startswith("reached the goal within 0.789 mm after 8 s")
+    assert first["is_better"]
+    assert "recommended Kp = 65.6 1/s (rotate and" in " ".join(call(*words).out.split())
+    present, better = (
+        tl.simulate_run("textbook", changes={"law.kp_angular": one, "law.kp_linear": one})
+        for one in (kp, 65.6)
+    )
+    assert not is_better(present, better, ("rotate", "translate"))
+    assert not is_better(better, better, ("rotate", "translate"))
+
+
+def test_a_run_that_ends_earlier_but_farther_from_its_goal_is_no_better() -> None:
+    coarse, fine = (
+        tl.simulate_run("textbook", changes={"law.position_tolerance_m": one})
+        for one in (0.01, 0.001)
+    )
+    assert coarse.duration_s < fine.duration_s - 1.0
+    assert not is_better(coarse, fine, ("rotate", "translate"))
 
 
 def test_gains_of_a_recording_that_cannot_be_simulated_are_not_tried(

@@ -388,3 +388,9 @@ def test_shaping_can_be_changed_as_limits_can(call: Call, tmp_path: Path) -> Non
     answer = call("replay", path, "--law", "--set", "shaping.low_pass_s=0.1", "--json").json
     assert answer["first_difference"]["signal"] == "turn_rate"
     assert answer["not_compared"] == ["shaped_speed", "shaped_turn_rate"]
+
+
+def test_a_law_that_ends_before_the_recording_does_is_told_so(call: Call, kp10: Path) -> None:
+    told = call("replay", kp10, "--law", "--set", "law.kp_linear=4").flat
+    assert "The end: stop at " in told
+    assert "recorded no end yet, replayed standstill." in told

@@ -300,6 +300,25 @@ def test_a_recording_without_its_scenario_has_gains_identified(call: Call, tmp_p
         assert loop["sources"]["plant"] == "assumed, as the recording names no plant"
 
 
+def test_a_loop_that_the_recording_does_not_show_has_the_dead_time_of_its_scenario(
+    call: Call, tmp_path: Path
+) -> None:
+    """The loop oscillates, so the recording ends while it rotates."""
+    late = ("textbook", "--kp", "15", "--set", "loop.transport_delay_ticks=12")
+    cut = tmp_path / "cut.mcap"
+    call("run", *late, "--set", "max_duration_s=20", "-o", cut)
+    told = " ".join(call("theory", cut).out.split())
+    assert told.startswith("cut.mcap: recommended Kp = 1.84 1/s (rotate and translate).")
+    assert "the simulated run reached the goal within 2.27 mm" in told
+    assert (
+        "translate (along-track): the dead time cannot be measured: the run has no phase translate."
+        " The dead time is from the scenario." in told
+    )
+    _, translate = call("theory", cut, "--json").json["loops"]
+    assert translate["sampled"]["dead_time_s"] == pytest.approx(12 * 0.016)
+    assert "cannot be measured" not in call("theory", *late).out
+
+
 def test_a_law_that_theory_does_not_know_is_said_to_be_unknown(call: Call) -> None:
     answer = call("theory", "posture")
     assert answer.out.startswith("posture: theory has no linear model of its loops.\n")

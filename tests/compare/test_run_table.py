@@ -269,3 +269,14 @@ def test_jumps_that_change_the_printed_path_length_are_noted(
     assert summary.notes.get("jumps", "").startswith("1 jump, 0.0305 m ahead") is is_told
     turned = tl.summarise_run(move(make_robot(), 100, turned_rad=1.0))
     assert "jumps" not in turned.notes
+
+
+@pytest.mark.parametrize(("lag_s", "marks"), [(9e-6, {}), (1.1e-5, {0: "best", 1: "worst"})])
+def test_lags_below_their_resolution_of_10_us_are_equally_good(
+    lag_s: float, marks: dict[int, str]
+) -> None:
+    runs = []
+    for value in (3e-17, lag_s):
+        metric = tl.measure.Metric(id="run.turn_rate_lag", value=value, unit="s")
+        runs.append(dataclasses.replace(SUMMARIES[0], metrics={metric.id: metric}))
+    assert tl.compare.mark_metric(runs, "run.turn_rate_lag") == marks

@@ -22,6 +22,7 @@ from turtlelog.explain import (
     write_headline,
     write_sentences,
 )
+from turtlelog.explain.answer_words import write_joint_parts
 from turtlelog.log import import_log
 from turtlelog.scenario import get_preset, override_scenario
 from turtlelog.simulate import simulate_run
@@ -272,6 +273,38 @@ def test_what_effects_that_alone_do_nothing_take_away_together() -> None:
     sentences = write_sentences(describe(queue=-0.25, pause=-0.25, together=(case,)))
     told = "Queue and pause act together: 0.5 m of what they take away arises only if both act."
     assert told in sentences
+
+
+@pytest.mark.parametrize("queue", [-0.4, -0.06, 0.0, 0.06, 0.4])
+@pytest.mark.parametrize("pause", [-0.25, -0.03, 0.0, 0.03, 0.25])
+@pytest.mark.parametrize("joint", [-1.0, -0.2, 0.2, 1.0])
+@pytest.mark.parametrize("third", [-0.6, 0.6])
+def test_joint_parts_are_told_by_what_causes_do_alone_and_together(
+    queue: float, pause: float, joint: float, third: float
+) -> None:
+    """A part of three causes, which the contributions of the pair share, changes no words."""
+    pair = Together(causes=("queue", "pause"), value=joint)
+    three = Together(causes=("queue", "pause", "lag"), value=third)
+    sizes = {
+        "queue": queue + joint / 2.0 + third / 3.0,
+        "pause": pause + joint / 2.0 + third / 3.0,
+        "lag": third / 3.0,
+    }
+    apart, whole = queue + pause, queue + pause + joint
+    text = write_joint_parts((pair, three), sizes, {}, lambda size, _: f"{size:.4g} m")
+    told = next(one for one in text.split(". ") if one.startswith("Queue and pause "))
+    change = {True: "add", False: "take away"}
+    if abs(apart) <= 0.1 * abs(joint) or apart * joint > 0.0:
+        does = f"{abs(joint):.4g} m of what they {change[joint > 0.0]} arises only if both act"
+        assert told.removesuffix(".") == f"Queue and pause act together: {does}"
+    elif whole * apart < 0.0:
+        alone = f"queue alone plus pause alone would {change[apart > 0.0]} {abs(apart):.4g} m"
+        both = f"but both together {change[whole > 0.0]} {abs(whole):.4g} m"
+        assert told.removesuffix(".") == f"Queue and pause act together: {alone}, {both}"
+    else:
+        less = f"together they {change[apart > 0.0]} {abs(joint):.4g} m less than"
+        alone = "queue alone plus pause alone"
+        assert told.removesuffix(".") == f"Queue and pause overlap: {less} {alone}"
 
 
 def test_without_an_effect_a_phase_that_never_ends_is_told() -> None:

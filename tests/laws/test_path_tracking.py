@@ -138,9 +138,8 @@ def test_tracker_forgets_its_last_run(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", TRACKERS)
 def test_tracker_without_a_path_is_refused_before_anything_runs(kind: str) -> None:
-    with pytest.raises(
-        LawError, match=rf"{kind}: expected a path to track, found no table \[path\]"
-    ):
+    told = rf"{kind}: expected a path to track, found no table \[path\]; the preset track-square"
+    with pytest.raises(LawError, match=told):
         tl.simulate_run(build_scenario({"law": {"kind": kind}}))
 
 

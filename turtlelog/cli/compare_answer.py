@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
 from turtlelog.cli import console, options
+from turtlelog.cli.metrics_answer import list_motion
 from turtlelog.cli.work import watch_summaries
 from turtlelog.display import describe_count, format_range, join_words
 from turtlelog.errors import TurtlelogError
+from turtlelog.run.stop_reasons import MAX_DURATION
 
 if TYPE_CHECKING:
     from turtlelog.cli.compare import ChoiceOptions
@@ -131,7 +133,7 @@ def _format_across(
     reading: Sequence[str],
 ) -> str:
     """Return the best run by each metric, then a row for every run."""
-    summaries, changes = tl.compare.shorten_names(summaries)
+    summaries, changes = tl.compare.shorten_names(summaries, is_uniform=True)
     names = tl.compare.name_runs(summaries)
     keys = {key for one in summaries for key in one.parameters}
     keys -= {key for one in summaries for key in one.declaration.list_gains()}
@@ -144,6 +146,8 @@ def _format_across(
     )
     conditions = ranking.list_notes(names)
     told = [one for one in table.notes if one not in conditions]
+    jumps = [text for one in summaries for text in list_motion(one, f" of {one.name}", ["jumps"])]
+    told += jumps[:_MOST_NOTES]
     more = len(conditions) - _MOST_NOTES
     if more > 0:
         conditions = [*conditions[:_MOST_NOTES], f"{describe_count(more, 'more note')}: --json."]
@@ -298,11 +302,34 @@ def _list_next(
         first, last = (summaries[rows[metric]] for rows in (best, worst))
         option = "" if metric == "final.position_error" else f" --metric {metric}"
         command = f"{console.name_explain(last.file, last.law, reading)}{option}"
-        if last.is_lawless:  # `explain` needs samples of a controller
+        # `explain` needs samples of a controller, and finds effects: not gains, nor a cut.
+        if last.is_lawless or _is_cut(first, last) or _differ_in_gains(first, last):
             files = console.quote_file(first.file, last.file, *reading)
             command = f"turtlelog compare {files} --why {metric}"
         yield f"Why is {names[worst[metric]]} worse? {command}"
     yield "For other columns: --metric IDS. For every metric: --json, or turtlelog metrics."
+
+
+def _is_cut(first: "RunSummary", last: "RunSummary") -> bool:
+    """Return whether only the second run was cut by its longest duration."""
+    return first.stop_reason != MAX_DURATION == last.stop_reason
+
+
+def _differ_in_gains(first: "RunSummary", last: "RunSummary") -> bool:
+    """Return whether runs without any effect of the implementation differ in gains."""
+    free = tl.scenario.flatten_scenario(tl.Scenario())
+    gains = {*first.declaration.list_gains()}
+    for one in (first, last):
+        keys = one.parameters.keys() - gains - _IDLE_KEYS
+        # A recording may contain more keys of its law and start than a scenario without them.
+        keys = {key for key in keys if key in free or not key.startswith(("law.", "start."))}
+        if not one.parameters or any(one.parameters[key] != free.get(key) for key in keys):
+            return False
+    return any(first.parameters.get(key) != last.parameters.get(key) for key in gains)
+
+
+_IDLE_KEYS: Final = {"name", "seed", "max_duration_s", "goal.x_m", "goal.y_m"}
+"""Keys of a scenario, apart from gains, that are no effects of the implementation."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

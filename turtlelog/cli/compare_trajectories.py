@@ -209,7 +209,8 @@ def _print(
             f"Compared: {what} of {count} moments, {how}; {one.name} has {ours} poses,"
             f" {one.reference_name} {theirs}."
         )
-    again = console.quote_file(found[0][0], "--reference", reference, *words)
+    shown = next((file for file, _ in found if file != reference), found[0][0])
+    again = console.quote_file(shown, "--reference", reference, *words)
     picture = f"Picture: turtlelog compare {again} --plot FILE.pdf"
     console.print_text(
         "\n".join(

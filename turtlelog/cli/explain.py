@@ -25,6 +25,7 @@ from turtlelog.cli.console import (
 from turtlelog.cli.explain_answer import (
     NEEDS,
     describe_causes,
+    describe_cut,
     format_explain_answer,
     format_explain_details,
     format_motion,
@@ -139,6 +140,8 @@ def explain(
             command = "Response to its commands: turtlelog identify"
         print_text(f"{command} {quote_file(file, *options.list_option_words(topics))}")
     else:
+        if cut := describe_cut(run, answer.metric["id"]):
+            print_text(cut)
         print_text(format_explain_answer(answer, found))
         if attribution is not None and run.declaration.list_gains():
             print_text(_GIVEN)

@@ -12,6 +12,7 @@ from turtlelog.cli.console import build_table, fill_lines, fit_table
 from turtlelog.cli.replay_answer import judge_rounding, list_breaks, tell_time
 from turtlelog.display import capitalise, describe_count, join_words
 from turtlelog.escapes import escape_controls
+from turtlelog.run.stop_reasons import MAX_DURATION
 
 if TYPE_CHECKING:
     from turtlelog.cli.explain import ExplainAnswer
@@ -121,6 +122,27 @@ def format_explain_answer(answer: "ExplainAnswer", found: "Identification") -> s
         lines.append(fill_lines([f"{head}{words}".rstrip()], indent=len(head)))
     lines += tl.explain.write_reasons(attribution)
     return _fill([*lines, _write_confidence(found, attribution)])
+
+
+def describe_cut(run: "tl.Run", metric: str) -> str:
+    """Return that a run was cut, for a metric of its end; else an empty text."""
+    if run.stop_reason != MAX_DURATION or not metric.startswith("final."):
+        return ""
+    spans = run.find_phase_spans()
+    begun = {span.phase for span in spans}
+    missing = [
+        loop.name
+        for loop in run.declaration.loops
+        if loop.name in run.phase_names and loop.name not in begun
+    ]
+    where = f", in the phase {spans[-1].phase}" if spans else ""
+    never = f" {capitalise(join_words(missing))} never began." if missing else ""
+    return fill_lines(
+        [
+            f"The run was cut after {run.duration_s:.3g} s (max_duration){where}.{never}"
+            f" {metric} is what was left at that time."
+        ]
+    )
 
 
 def _fill(lines: list[str]) -> str:

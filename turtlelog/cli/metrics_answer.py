@@ -165,13 +165,26 @@ def _list_remarks(
         words = "Irregular swings, which hide whether the loop is stable"
         yield f"{words}: {join_words(kicked)}."
     for loop in shown:
-        metric = summary.metrics.get(f"{loop}.settling_time")
-        if metric is not None and metric.status is tl.measure.Status.NOT_REACHED:
-            yield f"{loop} does not settle: {metric.reason}."
+        yield from _list_unsettled(summary, loop)
     for loop in (loop for loop in loops if loop not in shown):
         of_loop = [one for name, one in summary.metrics.items() if name.startswith(f"{loop}.")]
         if of_loop:
             yield f"{loop} has no values: {of_loop[0].reason}."
+
+
+def _list_unsettled(summary: "tl.compare.RunSummary", loop: str) -> Iterator[str]:
+    """Yield that a loop does not settle, and that its error is another one than the heading's."""
+    metric = summary.metrics.get(f"{loop}.settling_time")
+    if metric is None or metric.status is not tl.measure.Status.NOT_REACHED:
+        return
+    yield f"{loop} does not settle: {metric.reason}."
+    if any(
+        one.name == loop and one.reference == "bearing_now" for one in summary.declaration.loops
+    ):
+        yield (
+            f"{loop} follows a bearing that moves with the robot: its final loop error is not the"
+            " final heading error."
+        )
 
 
 def _name_metric(name: str) -> str:

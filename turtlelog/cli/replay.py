@@ -429,5 +429,7 @@ def _format_difference(
 ) -> str:
     unit = next((signal.unit for signal in signals if signal.signal == found.signal), "1")
     was, now = format_pair(found.recorded, found.replayed, unit)
+    if found.signal == "stop" and found.recorded is None:
+        was = "no end yet"
     place = f"{found.signal.replace('_', ' ')} at {tell_time(run, found.time_ns):.3f} s"
     return f"{place}: recorded {was}, replayed {now}"

@@ -406,8 +406,14 @@ def _read_subject(word: str, options: LoopOptions, topics: ReadingOptions) -> _S
     simulated = simulate(chosen) if has_queue else None
     if simulated is not None:  # as in a recording of this scenario
         measured = tl.measure.model_run_loops(simulated, place="the simulated run")
-        models = tuple(b if b.gains else a for a, b in zip(models, measured, strict=True))
+        models = tuple(_choose(a, b) for a, b in zip(models, measured, strict=True))
     return _Subject(chosen.name, "scenario", models, chosen)
+
+
+def _choose(
+    planned: "tl.theory.LoopModel", measured: "tl.theory.LoopModel"
+) -> "tl.theory.LoopModel":
+    return measured if measured.gains and not measured.unmeasured else planned
 
 
 def _restore(run: "tl.Run", word: str) -> "tl.Scenario | None":

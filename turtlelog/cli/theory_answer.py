@@ -179,7 +179,7 @@ def format_terms(
     known = [answer.found for answer in answers if answer.found]
     head = [
         *_list_recommended(recommended, wishes),
-        *(f"Stable for Kp {_write_ranges(loop.stable_gains)}." for loop in known[:1]),
+        *(f"{_tell_range(loop.stable_gains)}." for loop in known[:1]),
         *list_motions(answers),
         *map(describe_plant, known[:1]),
     ]
@@ -215,6 +215,7 @@ def format_file(
             loop,
             one.find_best(given.controller),
             given,
+            one.find_missing(given.controller),
             is_kept=is_worse or one.keeps(given),
             is_limited=bool(one.steps),
         )
@@ -250,6 +251,7 @@ class _Advice(NamedTuple):
         loop: Name of the loop.
         best: Recommended gains.
         given: Gains in use.
+        missing: Wish that no gains of the controller in use fulfil.
         is_kept: Whether the gains in use need no change.
         is_limited: Whether the gains allow for limits of acceleration.
     """
@@ -257,6 +259,7 @@ class _Advice(NamedTuple):
     loop: str
     best: "Recommendation | None"
     given: "Recommendation"
+    missing: "Recommendation | None"
     is_kept: bool
     is_limited: bool
 
@@ -268,7 +271,8 @@ def _conclude(
     changed = _list_gains([(one.loop, one.best) for one in advice if not one.is_kept])
     kept = _list_gains([(one.loop, one.given) for one in advice if one.is_kept])
     if not any(one.best for one in advice):
-        yield f"{name}: theory has no recommended gains."
+        unmet = next((one.missing for one in advice if one.missing), None)
+        yield f"{name}: {_tell_missing(unmet, wishes)}."
         return
     told = [f"recommended {changed}"] if changed else []
     told += [f"keep {kept}"] if kept else []
@@ -277,6 +281,11 @@ def _conclude(
     told += [f"no gains for {join_words(missing)}"] if missing else []
     if is_worse:
         told = [f"theory knows no better gains for the whole run than {kept}"]
+    lost: dict[str, list[str]] = {}
+    for one in advised:
+        if one.missing:
+            lost.setdefault(_name_missing(one.missing, wishes), []).append(one.loop)
+    told += [f"{text} ({join_words(loops)})" for text, loops in lost.items()]
     yield f"{name}: {'; '.join(told)}."
     limited = [one.loop for one in advised if one.is_limited]
     ideal = [one.loop for one in advised if not one.is_limited]
@@ -344,7 +353,7 @@ def _describe_loop(answer: LoopAnswer, advice: Sequence[_Advice]) -> str:
         )
     said = compared.rstrip(".") or f"{show_gains(loop.gains)}: {_tell_given(loop, own)}"
     where = " in small steps" if own and own.is_limited else ""
-    return f"{said}; stable{where} for Kp {_show_late_range(loop, answer.model)}."
+    return f"{said}; {_show_late_range(loop, answer.model, where)}."
 
 
 def _tell_given(loop: "PidLoop", own: _Advice | None) -> str:
@@ -397,9 +406,10 @@ def _list_recommended(
     """Yield whether given gains need a change, and recommended gains, or why there are none."""
     (given,) = recommended.given
     best = recommended.find_best(given.controller)
+    missing = recommended.find_missing(given.controller)
     if best is None or best.gains is None:
-        reasons = dict.fromkeys(one.reason for one in recommended.found if one.reason)
-        yield f"No gains are recommended: {next(iter(reasons), 'no rule gives any')}."
+        told = _tell_missing(missing, wishes)
+        yield f"{told[:1].upper()}{told[1:]}."
         return
     wish = wishes.describe(best.rule)
     if given.gains and recommended.keeps(given):
@@ -407,28 +417,47 @@ def _list_recommended(
         yield f"Step response: {tell_step(given.motion)}."
         yield f"{show_gains(best.gains)} for {wish} is no better: {tell_step(best.motion)}."
         return
-    yield f"Recommended {ideal}: {best.controller} with {show_gains(best.gains)}."
+    because = f", because {_name_missing(missing, wishes)}" if missing else ""
+    yield f"Recommended {ideal}: {best.controller} with {show_gains(best.gains)}{because}."
+    if missing:
+        yield f"{missing.reason[:1].upper()}{missing.reason[1:]}."
     yield f"This is for {wish}."
     compared = compare_gains(best, given)
     yield f"{compared[:1].upper()}{compared[1:]}"
 
 
-def _show_late_range(loop: "PidLoop", model: "LoopModel | None") -> str:
+def _name_missing(missing: "Recommendation", wishes: WishOptions) -> str:
+    return f"theory finds no {missing.controller} for {wishes.describe(missing.rule)}"
+
+
+def _tell_missing(missing: "Recommendation | None", wishes: WishOptions) -> str:
+    """Return that no gains fulfil the wish, with the reason."""
+    if missing is None:
+        return "no gains are recommended: no rule gives any"
+    return f"no gains are recommended for {wishes.describe(missing.rule)}: {missing.reason}"
+
+
+def _show_late_range(loop: "PidLoop", model: "LoopModel | None", where: str) -> str:
     """Return the range of Kp that is stable at the most dead time and at those below it."""
     if model is None or model.most_dead_time_s is None:
-        return _write_ranges(loop.stable_gains)
+        told = _tell_range(loop.stable_gains, where)
+        return f"{told[:1].lower()}{told[1:]}"
     gains, settings = model.require()
     least_s, latest = settings["process"].dead_time_s, model.require_latest()
     stable = tl.theory.find_lasting_gains(gains, least_dead_time_s=least_s, **latest)
     is_at_most = stable == tl.theory.find_stable_gains(gains, **latest)
     most = f"{1e3 * model.most_dead_time_s:.6g} ms"
-    where = f"the most dead time, {most}" if is_at_most else f"dead times up to {most}"
-    return f"{_write_ranges(stable)} at {where}"
+    late = f"the most dead time, {most}" if is_at_most else f"dead times up to {most}"
+    told = _tell_range(stable, where)
+    return f"{told[:1].lower()}{told[1:]} at {late}"
 
 
-def _write_ranges(ranges: "Sequence[tuple[float, float]]") -> str:
+def _tell_range(ranges: "Sequence[tuple[float, float]]", where: str = "") -> str:
+    """Return the gains at which a loop is stable, as a sentence."""
     written = [
         f"below {high:.4g} 1/s" if low == 0.0 else f"from {low:.4g} to {high:.4g} 1/s"
         for low, high in ranges
     ]
-    return " and ".join(written) or "of no value"
+    if not written:
+        return f"Unstable{where} at every Kp"
+    return f"Stable{where} for Kp {' and '.join(written)}"

@@ -124,9 +124,22 @@ class Recommended(NamedTuple):
     steps: str = ""
 
     def find_best(self, controller: str) -> "tl.theory.Recommendation | None":
-        """Return the first recommended gains of a controller, or else of P; None without either."""
-        known = {one.controller: one for one in reversed(self.found) if one.gains}
+        """Return gains of a controller that fulfil a wish, or else of P; None without either."""
+        wished = [one for one in self.found if one.gains and one.rule in _RULES]
+        known = {one.controller: one for one in reversed(wished)}
         return known.get(controller) or known.get("P")
+
+    def find_missing(self, controller: str) -> "tl.theory.Recommendation | None":
+        """Return the first wish that no gains of a controller, or of P if it has none, fulfil.
+
+        None if other gains of this controller are recommended.
+        """
+        best = self.find_best(controller)
+        if best is not None and best.controller == controller:
+            return None
+        missing = [one for one in self.found if one.reason and one.rule in _RULES]
+        known = {one.controller: one for one in reversed(missing)}
+        return known.get(controller) if best else next(iter(missing), None)
 
     def keeps(self, given: "tl.theory.Recommendation") -> bool:
         """Return whether given gains need no change."""
@@ -174,8 +187,8 @@ class GainTrial:
     """A simulated run with recommended gains by key, beside the run with the present gains.
 
     Attributes:
-        is_better: Whether the run ends nearer to a missed goal, or settles earlier without ending
-            later.
+        is_better: Whether the run ends nearer to a missed goal, settles earlier without ending
+            later, or settles at the same time and ends earlier, no farther from the goal.
         seed: Seed of both runs; None if nothing is random.
     """
 
@@ -206,8 +219,9 @@ def is_better(run: "tl.Run", other: "tl.Run", loops: Sequence[str]) -> bool:
     """Return whether a run ends better than another one.
 
     What counts first: whether it ends at its goal, its distance if not, how many loops settle, and
-    when. A run that settles earlier must not end later. Distances are equal within the tolerances
-    of the law, times within a sample.
+    when. A run that settles earlier must not end later. Of runs that settle at the same time, the
+    one that ends earlier and no farther is better. Distances from a missed goal are equal within
+    the tolerances of the law, times within a sample.
     """
     end, other_end = find_goal_end(run), find_goal_end(other)
     if end is not None and other_end is not None:
@@ -220,8 +234,10 @@ def is_better(run: "tl.Run", other: "tl.Run", loops: Sequence[str]) -> bool:
         return len(times_s) > len(other_s)
     earlier_s = sum(other_s.values()) - sum(times_s.values())
     sample_s = run.duration_s / max(len(run.samples), 1)
-    ends_later = run.duration_s - other.duration_s > sample_s
-    return earlier_s > sample_s * len(times_s) and not ends_later
+    if abs(earlier_s) > sample_s * len(times_s):
+        return earlier_s > 0.0 and run.duration_s - other.duration_s <= sample_s
+    is_no_farther = end is None or other_end is None or end.error_m <= other_end.error_m
+    return is_no_farther and other.duration_s - run.duration_s > sample_s
 
 
 def tell_end(run: "tl.Run", loops: Sequence[str]) -> str:

@@ -297,6 +297,8 @@ def list_sources(answers: Sequence[LoopAnswer], *, shows_all: bool = False) -> l
         if model.reason:
             notes.append(f"{of} is unknown: {model.reason}.")
             continue
+        if model.unmeasured:
+            notes.append(f"{of}: {model.unmeasured}. The dead time is from the scenario.")
         if shows_all:
             notes.append(f"{of}: {_tell_sources(model)}.")
         if shows_all and model.most_dead_time_s is not None:

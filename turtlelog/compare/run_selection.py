@@ -68,13 +68,20 @@ def label_file(file: str | Path) -> str:
     return name if topic is None else f"{name}:{topic}"
 
 
-def shorten_names(runs: Sequence[RunSummary]) -> tuple[tuple[RunSummary, ...], list[str]]:
+def shorten_names(
+    runs: Sequence[RunSummary], *, is_uniform: bool = False
+) -> tuple[tuple[RunSummary, ...], list[str]]:
     """Return runs with names of at most 24 characters, and their original names.
 
-    A run with a longer name gets the name of its file. A longer file name is cut in the middle.
+    A run with a longer name gets the name of its file. A longer file name is cut in the middle. If
+    names are uniform, and any run has the name of its file, all do.
     """
     names = name_runs(runs)
     long = [len(name) > _LONGEST for name in names]
+    labels = [label_file(run.file) for run in runs if run.file]
+    is_file = [one or name != run.name for one, name, run in zip(long, names, runs, strict=True)]
+    is_mixed = is_uniform and any(is_file) and not all(is_file) and len({*labels}) == len(runs)
+    long = [True] * len(runs) if is_mixed else long
     cut = [
         cut_name(label_file(run.file) if run.file else name, _LONGEST, tail=_TAIL)
         for run, name in zip(runs, names, strict=True)
@@ -84,7 +91,7 @@ def shorten_names(runs: Sequence[RunSummary]) -> tuple[tuple[RunSummary, ...], l
     generated = {
         name: run.name
         for name, run, is_long in zip(short, runs, long, strict=True)
-        if is_long and "=" in run.name
+        if is_long and ("=" in run.name or (is_mixed and run.name not in name))
     }
     renamed = tuple(replace(run, name=name) for run, name in zip(runs, short, strict=True))
     return renamed, _describe_changes(generated)

@@ -400,25 +400,61 @@ def write_joint_parts(
 
     `sizes` are the contributions, `names` other words for causes.
     """
+    together = [*together]
     sentences, total = [], math.fsum(map(abs, sizes.values()))
     for case in sorted(together, key=lambda case: -abs(case.value))[:_MOST_TOGETHER]:
         if abs(case.value) <= NAMED * total or not is_clear(case.value, case.standard_error):
             continue
-        of, is_pair = [names.get(name, name) for name in case.causes], len(case.causes) == 2
-        size = format_size(abs(case.value), case.standard_error)
-        them, both = capitalise(join_words(of)), "both" if is_pair else "all of them"
-        # What they change without this part; of two causes, each alone.
-        apart_size = sum(sizes.get(name, 0.0) for name in case.causes) - case.value
-        if abs(apart_size) <= NAMED * abs(case.value):  # alone they change little or nothing
-            apart_size = case.value
-        change = "add" if apart_size >= 0.0 else "take away"
-        text = f"{them} act together: {size} of what they {change} arises only if {both} act."
-        if case.value * apart_size < 0.0:
-            pair = " alone plus ".join(of)
-            apart = f"{pair} alone" if is_pair else "their parts, alone and in smaller groups"
-            text = f"{them} overlap: together they {change} {size} less than {apart}."
-        sentences.append(text)
+        of = [names.get(name, name) for name in case.causes]
+        sentences.append(
+            _write_joint_part(case, of, _sum_apart(case, sizes, together), format_size)
+        )
     return " ".join(sentences)
+
+
+def _sum_apart(case: Together, sizes: Mapping[str, float], together: Iterable[Together]) -> float:
+    """Return what the causes of a joint part add without it, alone and in smaller groups.
+
+    Each joint part is divided equally among the contributions of its causes.
+    """
+    inside = {*case.causes}
+    found = [sizes.get(name, 0.0) for name in case.causes]
+    for one in together:
+        shared = len(inside & {*one.causes})
+        found.append(-one.value * shared / len(one.causes))
+        if one != case and inside >= {*one.causes}:
+            found.append(one.value)
+    return math.fsum(found)
+
+
+def _write_joint_part(
+    case: Together,
+    of: list[str],
+    apart_size: float,
+    format_size: Callable[[float, float | None], str],
+) -> str:
+    """Return how a joint part changes what the causes add without it."""
+    is_pair = len(of) == 2
+    size = format_size(abs(case.value), case.standard_error)
+    them, both = capitalise(join_words(of)), "both" if is_pair else "all of them"
+    is_small = abs(apart_size) <= NAMED * abs(case.value)  # alone they change little or nothing
+    change = _name_change(case.value if is_small else apart_size)
+    if is_small or case.value * apart_size > 0.0:
+        return f"{them} act together: {size} of what they {change} arises only if {both} act."
+    pair = " alone plus ".join(of)
+    apart = f"{pair} alone" if is_pair else "their parts, alone and in smaller groups"
+    whole = apart_size + case.value
+    if whole * apart_size < 0.0:
+        before, after = (format_size(abs(one), None) for one in (apart_size, whole))
+        return (
+            f"{them} act together: {apart} would {change} {before},"
+            f" but {both} together {_name_change(whole)} {after}."
+        )
+    return f"{them} overlap: together they {change} {size} less than {apart}."
+
+
+def _name_change(size: float) -> str:
+    return "add" if size >= 0.0 else "take away"
 
 
 class Attribution(AttributedValue):  # noqa: D101 (the fields are those of the value)

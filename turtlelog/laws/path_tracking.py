@@ -48,7 +48,10 @@ def declare(
     """Return the loops along and across the path, which act together; LawError without a path."""
     del parameters, goal
     if path is None:
-        raise LawError(f"{name}: expected a path to track, found no table [path]")
+        raise LawError(
+            f"{name}: expected a path to track, found no table [path];"
+            " the preset track-square has one"
+        )
     along = ControlLoop(
         name="along",
         signal="along_track",

@@ -368,7 +368,8 @@ def model_run_loops(
 
     Gains and plant come from the scenario, period and dead time from the samples and poses. A time
     constant looks like dead time. Therefore the timing comes from the scenario for a robot with a
-    time constant, or a law triggered by a timer.
+    time constant, or a law triggered by a timer. It also does if it cannot be measured, but the
+    scenario determines it.
 
     Args:
         run: Any run.
@@ -394,6 +395,11 @@ def _model(
     is_plain = is_plain and parameters.get("loop.trigger", "pose") == "pose"
     timing = _measure_timing(run, loop, f"measured in {place}") if is_plain else None
     found = model_loop(loop, parameters, timing=timing, sources=sources)
+    if isinstance(timing, str) and run.scenario_is_complete:
+        planned = model_loop(loop, parameters, sources=sources)
+        # Lost commands shorten a queue, so a loop that ran may differ from its scenario.
+        if planned.most_dead_time_s is None or find_loop_samples(run, loop) is None:
+            found = planned if planned.reason else replace(planned, unmeasured=timing)
     against = _contradict(run, loop, found.gains)
     return replace(found, gains=None, reason=against) if against else found
 

@@ -113,12 +113,12 @@ class LoopDesign:
         return build_shape(gains, self.sampled, self.period_s)
 
     def measure(self, gains: PidGains, *, must_rest: bool = False) -> StepMotion | None:
-        """Return the motion after a step; None if the loop is too slow or diverges.
+        """Return the motion after a step; None if the loop is slow with limits, or diverges.
 
         With limits, the motion has the largest overshoot and the latest rest of all steps. If the
         motion must come to rest, the first step that does not is the answer.
         """
-        if self.is_slow:
+        if self.limits is not None and self.is_slow:
             return None
         found = []
         for limits in self._list_steps():

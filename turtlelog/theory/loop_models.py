@@ -93,6 +93,8 @@ class LoopModel:
             allow for; None if nothing limits the acceleration.
         jitter_s: Mean delay by jitter, which the dead time includes [s].
         oscillates: Whether the robot oscillates, for which the model has a longer dead time.
+        unmeasured: Reason why period and dead time are those of the scenario although a run was
+            measured; empty otherwise.
         reason: Reason why theory has no model of the loop; empty if there is a model.
         sources: Sources of the values, in words, by `gains`, `plant`, `period_s`, `dead_time_s`.
         left_out: Settings of the scenario that the linear loop leaves out.
@@ -108,6 +110,7 @@ class LoopModel:
     limits: StepLimits | None = None
     jitter_s: float = 0.0
     oscillates: bool = False
+    unmeasured: str = ""
     reason: str = ""
     sources: Mapping[str, str] = field(default_factory=dict)
     left_out: tuple[NeglectedSetting, ...] = ()

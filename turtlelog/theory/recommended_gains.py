@@ -85,7 +85,7 @@ class Recommendation:
         gains: Gains of the controller; None if the rule gives no gains.
         reason: Reason why the rule gives no gains; empty if it gives gains.
         motion: Motion after a step, also between samples; None without gains, or if the loop is
-            unstable or too slow to measure. With limits, of the worst step.
+            unstable, or too slow to measure with limits. With limits, of the worst step.
         margins: Stability margins; None without gains, or if the loop is unstable.
     """
 
@@ -190,8 +190,7 @@ def is_no_worse(given: Recommendation, best: Recommendation) -> bool:
     """Return whether given gains are as good as recommended ones.
 
     Given gains are as good if they have at most the overshoot, or at least the phase margin, of the
-    recommended gains, and settle no later. Recommended gains rounded to three digits count as
-    equal.
+    recommended gains, and settle no later. Gains within 1 % of recommended ones count as equal.
 
     Args:
         given: Gains in use.
@@ -218,8 +217,9 @@ _EQUAL_S: Final = 1e-9  # rounding of a settling time, which is a whole number o
 EQUAL_PERCENT: Final = 0.005  # half of the last printed digit of an overshoot [% of the step]
 _EQUAL_RAD: Final = math.radians(0.05)  # half of the last printed digit of a phase margin [rad]
 
-_SAME_GAIN: Final = 0.005
-"""Largest change of a gain by rounding to three digits, as a share of the gain."""
+_SAME_GAIN: Final = 0.01
+"""Largest change of a gain that counts as none, as a share of the gain: a tenth of what is known of
+a robot's gain, and the rounding to two digits of all gains above 0.5."""
 
 
 def _judge(

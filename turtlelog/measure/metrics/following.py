@@ -197,7 +197,7 @@ for _axis, _unit in AXES.items():
         f"run.{_axis}_lag",
         "s",
         f"Shift of the published {_words} in time that fits the measured one best.",
-        floor=0.0,
+        floor=_FINE_S,
         axis=_axis,
     )(_on_axis(_axis, _compute_lag))
 

@@ -50,8 +50,8 @@ _BEGINS_BEYOND: Final = add_reason(
 _ENDS_OUTSIDE: Final = add_reason(Status.NOT_REACHED, "the phase ends outside the {0:g} % band")
 LEFT_SOON: Final = add_reason(
     Status.NOT_REACHED,
-    "the response ends {0:.3g} s after it came into the band: it settles where it stays for"
-    " {1:.3g} s",
+    "the response was in the band for only the last {0:.3g} s, and settling takes at least {1:.3g}"
+    " s in the band",
 )
 _NOT_TWICE: Final = add_reason(Status.NOT_REACHED, "the response does not overshoot twice")
 _ONE_ANSWER: Final = add_reason(Status.TOO_SHORT, "one pose was answered in this phase")
