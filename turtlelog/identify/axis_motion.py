@@ -9,6 +9,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
+import scipy
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from turtlelog.errors import IdentifyError
@@ -68,12 +70,15 @@ class SilentStop:
     Attributes:
         begin_s: Time of the last command [s].
         stop_s: Time at which the rate has dropped to half [s].
+        zero_s: Time from which the robot acts as if commanded to 0 [s]: that of its watchdog, or
+            `stop_s` if the log does not show a watchdog.
         end_s: Time of the next command, or of the last pose [s]; later for an unseen stop.
-        is_seen: Whether the poses show the rest; else other silences do.
+        is_seen: Whether the poses show the stop; else other silences do.
     """
 
     begin_s: float
     stop_s: float
+    zero_s: float
     end_s: float
     is_seen: bool = True
 
@@ -183,12 +188,10 @@ def read_axis_motion(run: Run, axis: Axis) -> AxisMotion:
         )
     begins_s, ends_s = time_s[:-1], time_s[1:]
     stops = find_silent_stops(command_s, command, time_s, moved)
-    # A 0 where the robot stopped without a command; the time of this stop is uncertain.
-    stop_s = np.array([stop.stop_s for stop in stops])
-    places = np.searchsorted(command_s, stop_s, side="right")
-    commands = hold_commands(np.insert(command_s, places, stop_s), np.insert(command, places, 0.0))
-    for stop in stops:
-        is_sound &= (ends_s <= stop.begin_s + _SILENCE_S) | (begins_s >= stop.end_s)
+    commands = _hold_with_stops(command_s, command, [stop.zero_s for stop in stops])
+    for stop in stops:  # the time of a stop is uncertain
+        begin_s = min(stop.begin_s + _SILENCE_S, stop.zero_s)
+        is_sound &= (ends_s <= begin_s) | (begins_s >= stop.end_s)
     first_s = command_s[np.argmax(command != 0.0)]
     # A recording that starts with the commands shows a rest in its first step.
     earlier = ends_s <= max(first_s, ends_s.min(initial=np.inf))
@@ -215,6 +218,12 @@ def read_axis_motion(run: Run, axis: Axis) -> AxisMotion:
         waited=(float((ends_s - begins_s)[waits].sum()), float(moved[waits].sum())),
     )
     return motion.take(used)
+
+
+def _hold_with_stops(command_s: Values, command: Values, zeros_s: Sequence[float]) -> HeldInput:
+    """Return held commands with a 0 where the robot stopped without a command."""
+    places = np.searchsorted(command_s, zeros_s, side="right")
+    return hold_commands(np.insert(command_s, places, zeros_s), np.insert(command, places, 0.0))
 
 
 def turn_to_travel(run: Run) -> PoseColumns:
@@ -320,6 +329,9 @@ _JOINED_S: Final = 0.1
 """Time over which rates are averaged [s]; otherwise noise of poses would hide the time of a
 stop."""
 
+_RESPONSE_BINS: Final = round(MEMORY_S / _JOINED_S)
+"""Number of rates for which a command acts."""
+
 _STOPPED: Final = 0.1  # share of the largest rate in a silence below which the robot is at rest
 
 _OBEYS: Final = 0.25
@@ -343,6 +355,9 @@ def find_silent_stops(
     ends_s = np.append(command_s[1:], time_s[-1])
     silent = np.flatnonzero((ends_s - command_s > _SILENCE_S) & (command != 0.0))
     rows = np.column_stack([command_s, ends_s, np.abs(command)])[silent].tolist()
+    watchdog = _find_watchdog(command_s, command, rows, time_s, moved)
+    if watchdog:
+        return watchdog
     long = [row for row in rows if row[1] - row[0] > _SILENCE_S + LOOK_S]
     looks = (_look_at_silence(row[0], row[1], row[2], time_s, moved) for row in long)
     seen = [stop for stop in looks if stop is not None]
@@ -354,23 +369,21 @@ def find_silent_stops(
         is_near = -LOOK_S <= end_s - begin_s - wait_s <= LOOK_S + _SILENCE_S
         if begin_s not in known and is_near and end_s - begin_s > _WATCHDOG_S:
             stop_s, until_s = min(begin_s + wait_s, end_s - 1e-9), end_s + LOOK_S
-            seen.append(SilentStop(begin_s=begin_s, stop_s=stop_s, end_s=until_s, is_seen=False))
+            seen.append(
+                SilentStop(
+                    begin_s=begin_s, stop_s=stop_s, zero_s=stop_s, end_s=until_s, is_seen=False
+                )
+            )
     return sorted(seen, key=lambda stop: stop.begin_s)
 
 
 def _look_at_silence(
     begin_s: float, end_s: float, held: float, time_s: Values, moved: Values
 ) -> SilentStop | None:
-    first, after = np.searchsorted(time_s, [begin_s, end_s])
-    way = np.concatenate([[0.0], np.cumsum(moved[first : after - 1])])
-    at_s = time_s[first:after]
+    at_s, way, rate_s, rate = _measure_rates(begin_s, end_s, time_s, moved)
     last_s = at_s[-1] - LOOK_S if len(at_s) else begin_s
     if len(at_s) < 4 or last_s <= begin_s:
         return None
-    before = np.interp(at_s - _JOINED_S, at_s, way)
-    is_whole = at_s >= at_s[0] + _JOINED_S
-    rate = np.abs(way - before)[is_whole] / _JOINED_S
-    rate_s = at_s[is_whole] - 0.5 * _JOINED_S
     # The mean, because at a slow command noise of poses looks like motion.
     left = abs(float(way[-1] - np.interp(last_s, at_s, way))) / LOOK_S
     largest = float(rate.max(initial=0.0))
@@ -380,7 +393,113 @@ def _look_at_silence(
     if not largest or still_moves or float(np.abs(way).max()) <= least:
         return None
     stop_s = float(rate_s[np.flatnonzero(rate > 0.5 * largest)[-1]])
-    return SilentStop(begin_s=begin_s, stop_s=stop_s, end_s=end_s)
+    return SilentStop(begin_s=begin_s, stop_s=stop_s, zero_s=stop_s, end_s=end_s)
+
+
+def _measure_rates(
+    begin_s: float, end_s: float, time_s: Values, moved: Values
+) -> tuple[Values, Values, Values, Values]:
+    """Return times and displacement in a silence, and times and magnitudes of joined rates."""
+    first, after = np.searchsorted(time_s, [begin_s, end_s])
+    way = np.concatenate([[0.0], np.cumsum(moved[first : max(after - 1, first)])])
+    at_s = time_s[first:after]
+    if not len(at_s):
+        return at_s, way[:0], at_s, way[:0]
+    before = np.interp(at_s - _JOINED_S, at_s, way)
+    is_whole = at_s >= at_s[0] + _JOINED_S
+    rate = np.abs(way - before)[is_whole] / _JOINED_S
+    return at_s, way, at_s[is_whole] - 0.5 * _JOINED_S, rate
+
+
+_FEWEST_FALLS: Final = 3
+"""Number of silences in which the rate falls to half from which a watchdog is searched. A single
+stop may have another cause."""
+
+_MOST_BINS: Final = 6_000  # of `_JOINED_S`, from which a watchdog is searched: ten minutes
+
+_COARSE_S, _FINE_S = 0.05, 0.01
+"""Distances of the times of a watchdog that are tried [s]: first all, then near the best."""
+
+_STOPS_SURELY: Final = 0.5
+"""Largest share of the squares that held commands leave unexplained that may be left with a
+watchdog. A robot without a watchdog is explained less with one."""
+
+
+def _find_watchdog(
+    command_s: Values, command: Values, silences: Sequence[Sequence[float]], time_s: Values,
+    moved: Values,
+) -> list[SilentStop]:  # fmt: skip
+    """Return the stops of a robot that stops a fixed time after its last command; else none.
+
+    `silences` are begin [s], end [s] and magnitude of the held command.
+    """
+    falls_s = [_find_fall(*row, time_s, moved) for row in silences]
+    waits_s = [fall_s - row[0] for fall_s, row in zip(falls_s, silences, strict=True) if fall_s]
+    if len(waits_s) < _FEWEST_FALLS:
+        return []
+    misfit = _StopMisfit(command_s, command, silences, time_s, moved)
+    tried = {float(one): misfit.measure(one) for one in np.arange(0.1, max(waits_s), _COARSE_S)}
+    near_s = min(tried, key=lambda one: tried[one])
+    fine = np.arange(near_s - _COARSE_S + _FINE_S, near_s + _COARSE_S, _FINE_S)
+    tried |= {float(one): misfit.measure(one) for one in fine}
+    wait_s = min(tried, key=lambda one: tried[one])
+    if tried[wait_s] > _STOPS_SURELY * misfit.measure(np.inf):
+        return []
+    usual_s = float(np.median(waits_s))
+    return [
+        SilentStop(
+            begin_s=row[0],
+            stop_s=min(row[0] + usual_s, row[1] - 1e-9) if fall_s is None else fall_s,
+            zero_s=row[0] + wait_s,
+            end_s=row[1],
+            is_seen=fall_s is not None,
+        )
+        for fall_s, row in zip(falls_s, silences, strict=True)
+        if row[0] + wait_s < row[1]
+    ]
+
+
+def _find_fall(
+    begin_s: float, end_s: float, held: float, time_s: Values, moved: Values
+) -> float | None:
+    """Return the time at which the rate falls to half in a silence [s]; None if it does not."""
+    _, _, rate_s, rate = _measure_rates(begin_s, end_s, time_s, moved)
+    largest = float(rate.max(initial=0.0))
+    if largest <= _OBEYS * held or rate[-1] > 0.5 * largest:
+        return None
+    return float(rate_s[np.flatnonzero(rate > 0.5 * largest)[-1]])
+
+
+class _StopMisfit:
+    """Squares of the rates that no rising step response to the commands explains."""
+
+    def __init__(
+        self, command_s: Values, command: Values, silences: Sequence[Sequence[float]],
+        time_s: Values, moved: Values,
+    ) -> None:  # fmt: skip
+        """Average the rates over equal times; jumps are clipped."""
+        # Divided by the largest, so that squares are finite.
+        self._commands, self._silences = (command_s, command / np.abs(command).max()), silences
+        moved = moved / (np.abs(moved).max() or 1.0)
+        count = min(int((time_s[-1] - time_s[0]) / _JOINED_S), _MOST_BINS)
+        way = np.concatenate([[0.0], np.cumsum(moved)])
+        self._bounds_s = time_s[0] + _JOINED_S * np.arange(-_RESPONSE_BINS, count + 1)
+        rate = np.diff(np.interp(self._bounds_s[_RESPONSE_BINS:], time_s, way)) / _JOINED_S
+        self._rate = np.clip(rate, *np.quantile(rate, [0.01, 0.99])) if count else rate
+
+    def measure(self, wait_s: float) -> float:
+        """Return the squares that are left for a watchdog of some time [s]; none if infinite."""
+        ends = [row[0] + wait_s for row in self._silences if row[0] + wait_s < row[1]]
+        way = _hold_with_stops(*self._commands, ends).place(self._bounds_s).way
+        asked = np.diff(way) / _JOINED_S
+        earlier = sliding_window_view(asked, _RESPONSE_BINS + 1)[: len(self._rate)]
+        squares = earlier.T @ earlier
+        # The same sum of squares, of as many rows as unknowns.
+        size = 1e-9 * float(np.trace(squares)) + np.finfo(float).tiny
+        root = np.linalg.cholesky(squares + size * np.eye(len(squares)))
+        along = np.linalg.solve(root, earlier.T @ self._rate)
+        _, left = scipy.optimize.nnls(root.T, along)
+        return float(self._rate @ self._rate - along @ along + left**2)
 
 
 # The rates of a robot's model for recorded commands, beside the robot's own rates.
