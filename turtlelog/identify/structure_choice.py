@@ -91,7 +91,7 @@ _Tried = dict[Structure, AxisFit]
 _Neighbours = Iterable[tuple[Structure, Starts]]
 
 
-def choose_structure(fit: AxisFit) -> tuple[AxisFit, list[AxisFit]]:
+def choose_structure(fit: AxisFit, *, tries_wheels: bool = True) -> tuple[AxisFit, list[AxisFit]]:
     """Return the fit of the best structure for the motion, and the fits of its rivals.
 
     Friction with a steep gain looks like a deadband if few commands are small, and a search that
@@ -109,7 +109,8 @@ def choose_structure(fit: AxisFit) -> tuple[AxisFit, list[AxisFit]]:
         if measure_score(other) < measure_score(found) and _is_better(found, other, splits):
             found = other
     # A limit of the wheels' acceleration has no further parts: a search ends there.
-    found = _search(found, tried, splits, _list_wheels)
+    if tries_wheels:
+        found = _search(found, tried, splits, _list_wheels)
     return found, [rival for rival in tried.values() if is_rival(found, rival)]
 
 
