@@ -215,12 +215,21 @@ _LEFT: Final = 0.1
 robot's centre looks like a marker that is turned."""
 
 
+_AGREES, _OPPOSED = 0.25, 0.5
+"""Correlation from which reported speeds follow the commands, with the delay of any robot; and that
+from which displacements are opposite to them, less what goes together with turning."""
+
+_MOST_SHORTFALL: Final = 0.9
+"""Shortfall above which speeds along the heading do not show the speed at all."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TravelDirection:
     """The constant angle between a robot's heading and its direction of travel.
 
     Attributes:
-        angle_rad: Direction of travel minus heading, in (-pi/2, pi/2) [rad]; positive to the left.
+        angle_rad: Direction of travel minus heading [rad], positive to the left. It is beyond pi/2
+            only if reported and commanded speeds show which end of the robot is ahead.
     """
 
     angle_rad: float
@@ -235,6 +244,8 @@ class TravelDirection:
         side = "left" if self.angle_rad > 0.0 else "right"
         way = f"the robot travels {abs(math.degrees(self.angle_rad)):.1f} deg to the {side} of its"
         less = f"speeds along the heading are {100.0 * self.shortfall:.1f} % too small"
+        if self.shortfall > _MOST_SHORTFALL:
+            less = "speeds along the heading are wrong"
         return f"{way} heading; {less}"
 
 
@@ -254,7 +265,7 @@ def find_travel_direction(run: Run) -> TravelDirection | None:
     is_other = run.commands.lateral_speed_m_s.any() or run.poses.speed_m_s is not None
     if is_other or run.origin.has_courses or run.origin.has_leaps:
         return None
-    moved_m, turned_rad = _measure_displacements(run.poses)
+    middle_s, moved_m, turned_rad = _measure_displacements(run.poses)
     sizes_m = np.hypot(moved_m[:, 0], moved_m[:, 1])
     largest_m = float(sizes_m.max(initial=0.0))
     if not largest_m or int((sizes_m > _MOVING * largest_m).sum()) < _FEWEST:
@@ -266,22 +277,52 @@ def find_travel_direction(run: Run) -> TravelDirection | None:
     (least, most), axes = np.linalg.eigh(moved_m.T @ moved_m)
     ahead, aside = axes[:, 1].tolist()
     angle_rad = math.atan(aside / ahead) if ahead else math.pi / 2.0
-    unexplained = least / (least + most * math.sin(angle_rad) ** 2) if angle_rad else 1.0
+    against = math.sin(angle_rad) ** 2
+    ways = moved_m @ [math.cos(angle_rad), math.sin(angle_rad)]
+    if _is_reversed(run, middle_s, ways):
+        angle_rad -= math.copysign(math.pi, angle_rad)
+        against = 1.0
+    unexplained = least / (least + most * against) if against else 1.0
     is_clear = most > _LEFT * energy and unexplained < 1.0 - _EXPLAINED
     is_clear &= abs(angle_rad) >= _LEAST_RAD
     return TravelDirection(angle_rad=angle_rad) if is_clear else None
 
 
-def _measure_displacements(poses: PoseColumns) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return displacements along the mean heading and to its left [m], and turns [rad]."""
+def _is_reversed(run: Run, middle_s: NDArray[np.float64], ways: NDArray[np.float64]) -> bool:
+    """Return whether reported and commanded speeds agree, and displacements have the other sign."""
+    reported_m_s = run.poses.measured_speed_m_s
+    if reported_m_s is None or not len(run.commands):
+        return False
+    command_s = run.commands.time_ns / 1e9
+    held = np.searchsorted(command_s, middle_s, side="right") - 1
+    commanded = np.where(held < 0, 0.0, run.commands.speed_m_s[np.maximum(held, 0)])
+    reported = np.interp(middle_s, run.poses.time_ns / 1e9, reported_m_s)
+    agrees = _correlate(reported, commanded) > _AGREES
+    return agrees and _correlate(reported, ways) < -_OPPOSED
+
+
+def _correlate(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
+    """Return the correlation of two rates about 0; 0 if one of them always is 0."""
+    sizes = float(np.abs(one).max(initial=0.0)), float(np.abs(other).max(initial=0.0))
+    if not min(sizes) or not np.isfinite(sizes).all():
+        return 0.0
+    one, other = one / sizes[0], other / sizes[1]
+    return float(one @ other) / math.sqrt(float(one @ one) * float(other @ other))
+
+
+def _measure_displacements(
+    poses: PoseColumns,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return middle times [s], displacements ahead and to the left [m], and turns [rad]."""
     time_s = poses.time_ns / 1e9
     if len(time_s) < 2:
-        return np.zeros((0, 2)), np.zeros(0)
+        return np.zeros(0), np.zeros((0, 2)), np.zeros(0)
     every = math.ceil(_OVER_S / max(compute_median(np.diff(time_s)), 1e-9))
     rows = np.arange(0, len(time_s), every)
     ahead_m, aside_m, turned_rad = measure_steps(take_rows(poses, rows))
     kept = (np.diff(time_s[rows]) <= _MOST_S) & (np.abs(turned_rad) <= _MOST_TURN_RAD)
-    return np.column_stack([ahead_m, aside_m])[kept], turned_rad[kept]
+    middle_s = 0.5 * (time_s[rows][1:] + time_s[rows][:-1])
+    return middle_s[kept], np.column_stack([ahead_m, aside_m])[kept], turned_rad[kept]
 
 
 _CHORD_S: Final = 0.5
