@@ -30,7 +30,14 @@ from turtlelog.identify.axis_motion import (
 )
 from turtlelog.identify.fit_values import cover_parts, cover_rivals, describe_fit
 from turtlelog.identify.held_response import Values
-from turtlelog.identify.robot_model import AxisModel, Estimate, RobotEvent, RobotModel, TickDelays
+from turtlelog.identify.robot_model import (
+    AxisModel,
+    Estimate,
+    RobotEvent,
+    RobotModel,
+    TickDelays,
+    list_unit_faults,
+)
 from turtlelog.identify.robot_noise import LEAST_STEP
 from turtlelog.identify.structure_choice import choose_structure
 from turtlelog.measure.pose_quality import describe_sideways, find_travel_direction
@@ -91,7 +98,8 @@ def identify_robot(runs: Run | Iterable[Run]) -> RobotModel:
     (speed, speed_events), (turn_rate, turn_events) = pairs
     doubt = refused_axes.doubt_waiting
     models = doubt(runs, speed, turn_rate), doubt(runs, turn_rate, speed)
-    notes = [doubt for model in models for doubt in model.doubts]
+    notes = list_unit_faults(models)
+    notes += [doubt for model in models for doubt in model.doubts]
     notes += [
         f"{run.name} is {sideways}. Only the motion ahead or back is identified."
         for run in runs
