@@ -368,6 +368,18 @@ def test_a_robot_that_holds_commands_sent_once_does_not_stop() -> None:
     assert [read_axis_motion(once, axis).stops for axis in AXES] == [(), ()]
 
 
+def test_poses_that_a_program_repeats_do_not_delay_the_motion() -> None:
+    """A pose that changes at 10 Hz is recorded at 50 Hz."""
+    run = make_run(replace(SHORT, poses_hz=50.0, jitter_s=0.0), 2)
+    held = np.arange(len(run.poses)) // 5 * 5
+    poses = replace(run.poses, xy_m=run.poses.xy_m[held], heading_rad=run.poses.heading_rad[held])
+    model = tl.identify_robot(replace(run, poses=poses))
+    for axis in model.axes:
+        assert known(axis.dead_time_s).value == pytest.approx(0.1, abs=3e-3)
+        assert known(axis.lag_s).value == pytest.approx(0.1, abs=5e-3)
+        assert known(axis.explained) > 0.9
+
+
 def test_no_runs_are_refused() -> None:
     with pytest.raises(tl.errors.IdentifyError, match="runs: must not be empty"):
         tl.identify_robot([])
