@@ -15,15 +15,16 @@ from tests.identify.limited_robots import (
     turn_as_advised,
     turn_on_the_spot,
 )
-from tests.identify.robots import Log
+from tests.identify.robots import Log, Truth, build_run, find_changes, respond, wrap
 from tests.identify.strange_robots import Strange, draw_robot
 from tests.identify.wheel_robots import Wheeled, drive_wheels
 from tests.known import known
 from turtlelog.cli.identify import format_robot
-from turtlelog.identify import build_robot_scenario, predict_axis, read_robot_notes
+from turtlelog.identify import Estimate, build_robot_scenario, predict_axis, read_robot_notes
 from turtlelog.identify.axis_fit import fit_axis, list_ends
 from turtlelog.identify.axis_motion import read_axis_motion
 from turtlelog.identify.held_response import HeldResponse, Structure, hold_commands, limit_softly
+from turtlelog.identify.robot_identification import has_sure_wheels
 from turtlelog.identify.robot_noise import StepNoise, Whitening, fit_noise
 from turtlelog.identify.structure_choice import is_rival
 from turtlelog.run import Run
@@ -197,3 +198,43 @@ def test_the_error_of_a_pose_adds_up_on_the_way_that_bends(turn_rad: float) -> N
     white = Whitening(noise, steps, np.cos(turn_rad) * steps, never).apply(moved)
     assert float(np.mean(white**2)) == pytest.approx(1.0, abs=0.05)
     assert abs(float(np.mean(white[1:] * white[:-1]))) < 0.03
+
+
+def drive_car(seed: int) -> Run:
+    """Return a car whose turn rate is its speed times the tangent of its steering by its length."""
+    rng, dead_time_s, length_m = np.random.default_rng(seed), 0.1, 0.33
+    time_s = np.arange(0.0, 40.0, 0.05)
+    speeds, steers = np.zeros(len(time_s)), np.zeros(len(time_s))
+    for row in range(60, len(time_s) - 80, 40):
+        speeds[row : row + 40] = rng.choice([0.5, 1.0, 1.5])
+        steers[row + 20 : row + 60] = rng.choice([-0.3, -0.15, 0.15, 0.3])
+    fine_s = np.arange(0.0, 40.0, 2e-3)
+    speed = respond(Truth(dead_time_s=dead_time_s, lag_s=0.3), fine_s, find_changes(time_s, speeds))
+    steer = respond(Truth(dead_time_s=dead_time_s, lag_s=0.2), fine_s, find_changes(time_s, steers))
+    heading_rad = np.cumsum(speed[0] * np.tan(steer[0]) / length_m) * 2e-3
+    ways = speed[0][:, None] * np.column_stack([np.cos(heading_rad), np.sin(heading_rad)])
+    xy_m = np.cumsum(ways, axis=0) * 2e-3
+    rows = np.arange(0, len(fine_s), 10)
+    seen_m = xy_m[rows] + rng.normal(0.0, 5e-4, (len(rows), 2))
+    seen_rad = wrap(heading_rad[rows] + rng.normal(0.0, 1e-3, len(rows)))
+    turns = speeds * np.tan(steers) / length_m
+    return build_run(fine_s[rows], seen_m, seen_rad, (time_s, speeds, turns))
+
+
+def test_a_car_has_no_limit_of_the_wheels_acceleration() -> None:
+    """Its turn rate is not linear, and fits several structures equally badly."""
+    model = tl.identify_robot(drive_car(3))
+    assert [axis.limit_acts for axis in model.axes] == ["", ""]
+    assert known(model.speed.lag_s).value == pytest.approx(0.3, abs=2e-3)
+    assert known(model.turn_rate.gain).value == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("ends", "is_sure"), [((0.1, 2.0), True), ((0.0, 2.0), False), ((0.1, np.inf), False)]
+)
+def test_a_limit_of_the_wheels_needs_a_finite_interval(
+    ends: tuple[float, float], *, is_sure: bool
+) -> None:
+    limit, other = (Estimate(value=1.0, low=low, high=high) for low, high in ((0.5, 1.5), ends))
+    axis = replace(identify_wheels()[1].turn_rate, rate_limit=limit, rate_limit_beside=other)
+    assert has_sure_wheels(axis) is is_sure

@@ -20,6 +20,7 @@ from turtlelog.identify.axis_fit import AxisFit, fit_axis, refit_axis, solve_par
 from turtlelog.identify.axis_motion import AXES, Axis, find_rests, read_axis_motion
 from turtlelog.identify.fit_values import cover_parts, describe_fit
 from turtlelog.identify.held_response import Structure, hold_commands
+from turtlelog.identify.robot_noise import measure_sensing_noise
 from turtlelog.identify.structure_choice import (
     is_distinct,
     measure_effect,
@@ -27,6 +28,7 @@ from turtlelog.identify.structure_choice import (
     shows_friction,
 )
 from turtlelog.run import Run
+from turtlelog.run.angles import wrap_angle
 
 SIZES: Final = (0.5, -0.5, 0.3, -0.3, 0.4, -0.2)
 BOTH: Final = ("plain", 0.05, -0.1)
@@ -345,3 +347,55 @@ def test_neither_dead_time_nor_time_constant_exceeds_their_sum_in_doubt() -> Non
     loose: AxisModel = replace(axis, lag_s=replace(known(axis.lag_s), high=9.0))
     loose = cover_parts(loose, replace(fit, white=curve))
     assert known(loose.lag_s).high <= known(loose.total_delay_s).high
+
+
+@pytest.mark.parametrize(("share", "shows"), [(0.55, True), (0.45, False)])
+@pytest.mark.parametrize("rested_s", [1.1, 0.9])
+def test_a_rest_before_the_first_command_decides_whether_a_robot_drifts(
+    rested_s: float, share: float, *, shows: bool
+) -> None:
+    fit = fit_drift(0.1)
+    rests = find_rests(fit.model.motions, *fit.parameters[1:3].tolist())
+    moved = share * float(fit.parameters[0] * fit.parameters[3]) * rested_s
+    fit.model.motions = [replace(one, rested=(rested_s, moved)) for one in fit.model.motions]
+    assert shows_drift(replace(fit, is_outlier=rests)) is (shows or rested_s < 1.0)
+
+
+@cache
+def drive_without_rests() -> Run:
+    """Return a robot that rests for 3 s; then one axis or the other changes every second."""
+    rng = np.random.default_rng(0)
+    rows, speed, turn = [(0.0, 0.0, 0.0)], 0.0, 0.0
+    for second in range(3, 50):
+        size = float(rng.choice([-1.0, -0.7, -0.4, 0.4, 0.7, 1.0]))
+        speed, turn = (0.5 * size, turn) if second % 2 else (speed, size)
+        rows.append((float(second), speed, turn))
+    names = "law.time_s", "law.speed_m_s", "law.turn_rate_rad_s"
+    steps = {
+        name: list(values) for name, values in zip(names, zip(*rows, strict=True), strict=True)
+    }
+    law = {"law.kind": "open-loop", "law.signal": "sequence", "plant.period_s": 0.05}
+    robot = {**ROBOT, "plant.turn_acceleration": 1.5, "plant.turn_lag_s": 0.3}
+    changes = {**law, **steps, **robot, **push(0.0, 0.01)}
+    run = tl.simulate_run(tl.override_scenario(tl.load_scenario("lagged"), changes))
+    noisy = run.poses.heading_rad + rng.normal(0.0, 5e-4, len(run.poses))
+    return replace(run, poses=replace(run.poses, heading_rad=wrap_angle(noisy)))
+
+
+def test_a_drift_beside_a_limit_is_no_other_gain_backwards() -> None:
+    """The robot rests only before its first command."""
+    model = tl.identify_robot(drive_without_rests())
+    axis = model.turn_rate
+    assert (axis.reverse_gain, axis.doubts) == (None, ())
+    assert known(axis.gain).value == pytest.approx(1.1, abs=2e-3)
+    assert known(axis.drift).value == pytest.approx(0.01, abs=1e-3)
+    assert known(axis.rate_limit).value == pytest.approx(1.5, abs=0.03)
+    assert not any("never rests" in note for note in model.notes)
+
+
+def test_a_rest_before_the_first_command_shows_the_noise_of_poses() -> None:
+    """The first command is 0, and is recorded with the first pose."""
+    run = drive_without_rests()
+    sensing = known(measure_sensing_noise(tl.identify_robot(run), [run]))
+    assert sensing.standing_s == pytest.approx(3.0, abs=0.2)
+    assert sensing.heading.size == pytest.approx(5e-4, rel=0.3)

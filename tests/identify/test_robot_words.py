@@ -1,16 +1,21 @@
 """How a robot follows its commands in words, the same on the command line and in a notebook."""
 
 from dataclasses import replace
+from pathlib import Path
+
+import pytest
 
 import turtlelog as tl
-from turtlelog.cli.identify import describe_gain
+from turtlelog.cli.identify import describe_gain, format_robot
 from turtlelog.identify import (
     AxisModel,
     Estimate,
     format_delay,
     format_gain,
+    list_unit_faults,
     write_robot_headline,
 )
+from turtlelog.identify.axis_motion import Axis
 from turtlelog.identify.fit_values import describe_rivals
 from turtlelog.identify.held_response import Structure
 
@@ -73,3 +78,32 @@ def test_rivals_name_once_what_all_of_them_have() -> None:
     )
     rivals = [Structure(order="first_order", bound="command"), Structure(order="first_order")]
     assert describe_rivals(rivals) == "a bound of the command or one time constant alone"
+
+
+@pytest.mark.parametrize(
+    ("axis", "gain", "told"),
+    [
+        ("turn_rate", 54.4, "bag: the headings of the poses are probably in deg"),
+        ("turn_rate", 0.0166, "bag: the commanded turn rates are probably in deg/s"),
+        ("speed", 90.0, "bag: the positions of the poses are probably in cm"),
+        ("speed", 900.0, "bag: the positions of the poses are probably in mm"),
+        ("speed", 0.009, "bag: the commanded speeds are probably in cm/s"),
+        ("speed", 0.0009, "bag: the commanded speeds are probably in mm/s"),
+        *(("turn_rate", gain, "bag: total delay of turn rate 200 ms") for gain in (28.0, 87.0)),
+        *(("speed", gain, "bag: total delay of speed 200 ms") for gain in (0.016, 49.0, 0.3)),
+    ],
+)
+def test_a_gain_of_another_unit_is_told_first(axis: Axis, gain: float, told: str) -> None:
+    wrong = replace(DRIVEN, axis=axis, gain=Estimate(value=gain, low=gain, high=gain, unit="1"))
+    headline = write_robot_headline([wrong], "bag")
+    assert headline[0].startswith(told)
+    if "probably" in told:
+        assert "add --column " in headline[0]
+        assert headline[1].startswith("Total delay of ")
+
+
+def test_the_note_on_a_unit_is_printed_once() -> None:
+    wrong = replace(DRIVEN, gain=Estimate(value=90.0, low=89.0, high=91.0, unit="1"))
+    notes = tuple(list_unit_faults([wrong, UNKNOWN]))
+    model = tl.RobotModel(files=("bag",), speed=wrong, turn_rate=UNKNOWN, notes=notes)
+    assert " ".join(format_robot(model, [Path("bag.csv")]).split()).count("probably") == 1

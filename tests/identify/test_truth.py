@@ -20,8 +20,9 @@ from tests.identify.scores import (
 from tests.identify.whole_way import fit_whole_way
 from tests.known import known
 from turtlelog.identify import AxisModel
-from turtlelog.identify.axis_motion import AXES, Axis
+from turtlelog.identify.axis_motion import AXES, Axis, read_axis_motion
 from turtlelog.run import CommandColumns
+from turtlelog.run.columns import take_rows
 
 ROBOTS = 100
 NOISE_M = 2e-4
@@ -316,14 +317,15 @@ def test_what_the_correlation_says_lies_near_dead_time_and_lag() -> None:
     assert delay_s.low <= delay_s.value <= delay_s.high <= delay_s.low + delay_s.value
 
 
-def stop_by_itself(wait_s: float, silence_s: float) -> tl.Run:
+def stop_by_itself(wait_s: float, silence_s: float, truth: Truth = SHORT.turn_rate) -> tl.Run:
     """Return a robot that stops some time after the last command; of that no command tells."""
+    log = replace(SHORT, turn_rate=truth)
     begins_s = np.arange(1.0, 28.0, 1.0 + silence_s)
     sent_s = begins_s[:, None] + np.arange(0.0, 1.0, 0.05)
     turns = np.repeat(np.linspace(-1.5, 1.5, len(begins_s)), sent_s.shape[1])
     heard_s = np.column_stack([sent_s, sent_s[:, -1] + wait_s]).ravel()
     obeyed = np.column_stack([turns.reshape(sent_s.shape), 0.0 * begins_s]).ravel()
-    run = make_run(SHORT, 1, speed=(heard_s, 0.0 * heard_s), turn=(heard_s, obeyed))
+    run = make_run(log, 1, speed=(heard_s, 0.0 * heard_s), turn=(heard_s, obeyed))
     commands = CommandColumns(
         time_ns=np.rint(sent_s.ravel() * 1e9).astype(np.int64),
         speed_m_s=0.0 * turns,
@@ -341,6 +343,41 @@ def test_a_robot_that_stops_by_itself_is_no_slow_robot() -> None:
     assert "The turn rate stops by itself where no command comes, 8 times" in note
     for wait_s in model.turn_rate.silent_stops_s:
         assert wait_s == pytest.approx(0.5 + 0.1 + 0.1 * np.log(2.0), abs=0.1)
+
+
+@pytest.mark.parametrize("silence_s", [1.0, 1.5, 2.0])
+def test_a_slow_robot_that_stops_by_itself_has_its_own_delays(silence_s: float) -> None:
+    """It is not at rest when the next command comes."""
+    truth = Truth(gain=0.9, dead_time_s=0.15, lag_s=0.4)
+    model = tl.identify_robot(stop_by_itself(0.5, silence_s, truth))
+    axis = model.turn_rate
+    assert (axis.model, axis.doubts) == ("first_order", ())
+    assert known(axis.gain).value == pytest.approx(0.9, abs=5e-3)
+    assert known(axis.dead_time_s).value == pytest.approx(0.15, abs=5e-3)
+    assert known(axis.lag_s).value == pytest.approx(0.4, abs=1e-2)
+    assert len(axis.silent_stops_s) >= 8
+    for wait_s in axis.silent_stops_s:
+        assert wait_s == pytest.approx(0.5 + 0.15 + 0.4 * np.log(2.0), abs=0.1)
+
+
+def test_a_robot_that_holds_commands_sent_once_does_not_stop() -> None:
+    run = make_run(SHORT, 4)
+    changes = np.diff(run.commands.turn_rate_rad_s, prepend=np.nan) != 0.0
+    changes |= np.diff(run.commands.speed_m_s, prepend=np.nan) != 0.0
+    once = replace(run, commands=take_rows(run.commands, changes))
+    assert [read_axis_motion(once, axis).stops for axis in AXES] == [(), ()]
+
+
+def test_poses_that_a_program_repeats_do_not_delay_the_motion() -> None:
+    """A pose that changes at 10 Hz is recorded at 50 Hz."""
+    run = make_run(replace(SHORT, poses_hz=50.0, jitter_s=0.0), 2)
+    held = np.arange(len(run.poses)) // 5 * 5
+    poses = replace(run.poses, xy_m=run.poses.xy_m[held], heading_rad=run.poses.heading_rad[held])
+    model = tl.identify_robot(replace(run, poses=poses))
+    for axis in model.axes:
+        assert known(axis.dead_time_s).value == pytest.approx(0.1, abs=3e-3)
+        assert known(axis.lag_s).value == pytest.approx(0.1, abs=5e-3)
+        assert known(axis.explained) > 0.9
 
 
 def test_no_runs_are_refused() -> None:

@@ -185,3 +185,42 @@ def test_metrics_and_measured_rates_are_along_the_heading() -> None:
     fastest = measure_run(turned)["run.measured_speed_max"].value
     assert fastest == pytest.approx(0.25, abs=0.01)
     assert find_travel_direction(replace(turned, origin=Origin(has_leaps=True))) is None
+
+
+def report(run: Run, mounted_deg: float) -> Run:
+    """Return a run whose poses also have the speeds that the wheels report."""
+    heading_rad = run.poses.heading_rad - math.radians(mounted_deg)
+    step_m = np.diff(run.poses.xy_m, axis=0, prepend=run.poses.xy_m[:1])
+    speed = (step_m[:, 0] * np.cos(heading_rad) + step_m[:, 1] * np.sin(heading_rad)) / STEP_S
+    return replace(run, poses=replace(run.poses, measured_speed_m_s=speed))
+
+
+@pytest.mark.parametrize("backward", [0.0, 0.5])
+@pytest.mark.parametrize("mounted_deg", [-135.0, -80.0, 90.0, 120.0, 179.0])
+def test_reported_speeds_show_which_end_is_ahead(mounted_deg: float, backward: float) -> None:
+    run = drive(*draw_commands(backward=backward), mounted_deg=mounted_deg)
+    found = find_travel_direction(report(run, mounted_deg))
+    assert found is not None
+    assert math.degrees(found.angle_rad) == pytest.approx(-mounted_deg, abs=0.3)
+    is_left = mounted_deg < 0.0
+    assert f"deg to the {'left' if is_left else 'right'} of its heading" in found.describe()
+
+
+def test_a_heading_that_points_backward_is_no_fault_of_the_driver() -> None:
+    """Two robots are identified."""
+    run = drive(*draw_commands(), mounted_deg=120.0)
+    assert "reverse the sign of the speed" in identify_robot(run).speed.advice
+    model = identify_robot(report(run, 120.0))
+    assert model.speed.gain is not None
+    assert model.speed.gain.value == pytest.approx(1.0, abs=0.01)
+    (note,) = [note for note in model.notes if "deg to the right of its heading" in note]
+    assert "speeds along the heading are wrong" in note
+
+
+def test_wheels_that_turn_against_their_commands_keep_the_heading() -> None:
+    run = drive(*draw_commands(), mounted_deg=20.0)
+    wheels = report(run, 20.0)
+    commands = replace(run.commands, speed_m_s=-run.commands.speed_m_s)
+    found = find_travel_direction(replace(wheels, commands=commands))
+    assert found is not None
+    assert math.degrees(found.angle_rad) == pytest.approx(-20.0, abs=0.1)

@@ -220,7 +220,10 @@ def _list_trust(model: "tl.RobotModel") -> Iterator[str]:
             f" {1e3 * delays.median_s:.1f} ms, largest {1e3 * delays.largest_s:.1f} ms."
         )
     doubts = [doubt for axis in model.axes for doubt in axis.doubts]
-    yield from (f"Doubt: {note}" if note in doubts else note for note in model.notes)
+    first = tl.identify.list_unit_faults(model.axes)
+    yield from (
+        f"Doubt: {note}" if note in doubts else note for note in model.notes if note not in first
+    )
     yield from _list_events(model)
     clock = model.clock
     if clock is None or not any(axis.is_known for axis in model.axes):

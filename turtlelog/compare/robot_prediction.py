@@ -28,8 +28,8 @@ from turtlelog.errors import CompareError
 from turtlelog.identify import AxisTraces, axis_motion
 from turtlelog.identify.axis_motion import AXES, Axis, AxisMotion, get_commands
 from turtlelog.identify.robot_noise import NORMAL_MAD, find_short_runs
+from turtlelog.identify.silent_stops import LOOK_S
 from turtlelog.measure.reductions import Rows, Values
-from turtlelog.measure.response import LOOK_S
 from turtlelog.replay.plant_replay import sense_driven
 from turtlelog.run import CommandColumns, PoseColumns, Run
 from turtlelog.run.angles import subtract_headings

@@ -15,6 +15,7 @@ from .robot_model import (
     format_delay as format_delay,
     format_gain as format_gain,
     list_model_values as list_model_values,
+    list_unit_faults as list_unit_faults,
     write_robot_headline as write_robot_headline,
 )
 from .robot_scenario import (

@@ -12,11 +12,18 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import IdentifyError
 from turtlelog.identify.held_response import HeldInput, Values, hold_commands
+from turtlelog.identify.silent_stops import (
+    SILENCE_S,
+    SilentStop,
+    find_silent_stops,
+    hold_with_stops,
+)
 from turtlelog.measure.pose_noise import find_spacing
 from turtlelog.measure.pose_quality import find_travel_direction
-from turtlelog.measure.response import SILENCE_S, SilentStop, find_silent_stops
+from turtlelog.measure.rates import STEADY, find_changing_rows
 from turtlelog.run import PoseColumns, Run
 from turtlelog.run.angles import subtract_headings, wrap_angle
+from turtlelog.run.columns import take_rows
 from turtlelog.run.loops import COMMAND_UNITS, COMMAND_WORDS
 
 if TYPE_CHECKING:
@@ -78,6 +85,7 @@ class AxisMotion:
         rounding: Standard deviation of a pose's rounding to 32 bits [m or rad]; 0 for more bits.
         waited: Known time before the first command of this axis that is not 0 [s], and the
             displacement in that time [m or rad].
+        rested: The same before the first command of either axis that is not 0.
     """
 
     time_s: Values
@@ -89,6 +97,7 @@ class AxisMotion:
     beside: HeldInput | None = None
     rounding: float = 0.0
     waited: tuple[float, float] = (0.0, 0.0)
+    rested: tuple[float, float] = (0.0, 0.0)
 
     @property
     def seen_stops(self) -> tuple[SilentStop, ...]:
@@ -147,7 +156,7 @@ def _is_idle(
 
 def read_axis_motion(run: Run, axis: Axis) -> AxisMotion:
     """Return the steps of an axis in which commands act, all of which are known."""
-    command, poses = get_commands(run, axis), turn_to_travel(run)
+    command, poses = get_commands(run, axis), _drop_repetitions(turn_to_travel(run))
     time_s, moved, is_sound = measure_axis_steps(poses, axis)
     command_s = run.commands.time_ns / 1e9
     first = np.arange(len(moved))
@@ -157,13 +166,11 @@ def read_axis_motion(run: Run, axis: Axis) -> AxisMotion:
             time_s=none, first=first[:0], moved=none, direction_rad=none, commands=held
         )
     begins_s, ends_s = time_s[:-1], time_s[1:]
-    stops = find_silent_stops(command_s, command, time_s, moved)
-    # A 0 where the robot stopped without a command; the time of this stop is uncertain.
-    stop_s = np.array([stop.stop_s for stop in stops])
-    places = np.searchsorted(command_s, stop_s, side="right")
-    commands = hold_commands(np.insert(command_s, places, stop_s), np.insert(command, places, 0.0))
-    for stop in stops:
-        is_sound &= (ends_s <= stop.begin_s + SILENCE_S) | (begins_s >= stop.end_s)
+    stops = find_silent_stops(command_s, command, time_s, moved, memory_s=MEMORY_S)
+    commands = hold_with_stops(command_s, command, [stop.zero_s for stop in stops])
+    for stop in stops:  # the time of a stop is uncertain
+        begin_s = min(stop.begin_s + SILENCE_S, stop.zero_s)
+        is_sound &= (ends_s <= begin_s) | (begins_s >= stop.end_s)
     first_s = command_s[np.argmax(command != 0.0)]
     # A recording that starts with the commands shows a rest in its first step.
     earlier = ends_s <= max(first_s, ends_s.min(initial=np.inf))
@@ -173,11 +180,16 @@ def read_axis_motion(run: Run, axis: Axis) -> AxisMotion:
     stands = most > 0.0 and abs(float(moved[earlier].sum())) <= most
     known = is_sound & (begins_s >= (-np.inf if stands else command_s[0] + MEMORY_S))
     used = known & _find_active(commands, begins_s, ends_s)
-    waits = known & (ends_s <= first_s)
+    other = get_commands(run, OTHER[axis])
+    begun_s = min(first_s, command_s[np.argmax(other != 0.0)] if other.any() else first_s)
+    waited, rested = (
+        (float((ends_s - begins_s)[waits].sum()), float(moved[waits].sum()))
+        for waits in (known & (ends_s <= one) for one in (first_s, begun_s))
+    )
     direction_rad = 0.0 * moved
     if axis == "speed":
         heading_rad = np.unwrap(poses.heading_rad)
-        direction_rad = np.interp(0.5 * (begins_s + ends_s), run.poses.time_ns / 1e9, heading_rad)
+        direction_rad = np.interp(0.5 * (begins_s + ends_s), poses.time_ns / 1e9, heading_rad)
     motion = AxisMotion(
         time_s=time_s,
         first=first,
@@ -185,11 +197,34 @@ def read_axis_motion(run: Run, axis: Axis) -> AxisMotion:
         direction_rad=direction_rad,
         commands=commands,
         stops=tuple(stops),
-        beside=hold_commands(command_s, get_commands(run, OTHER[axis])),
+        beside=hold_commands(command_s, other),
         rounding=find_spacing(poses.xy_m if axis == "speed" else run.poses.heading_rad) / 12**0.5,
-        waited=(float((ends_s - begins_s)[waits].sum()), float(moved[waits].sum())),
+        waited=waited,
+        rested=rested,
     )
     return motion.take(used)
+
+
+_STEADILY: Final = 0.8
+"""Share of the times between changes that must be near their median if a program repeats poses.
+Quantised poses of a slow robot also repeat, but change at the rate of its motion."""
+
+
+def _drop_repetitions(poses: PoseColumns) -> PoseColumns:
+    """Return poses without repetitions by a program, which show each motion too late."""
+    changing = find_changing_rows(poses)
+    if len(changing) == len(poses):
+        return poses
+    apart = np.diff(changing)
+    period = int(np.median(apart))
+    is_near = (apart <= STEADY * period) & (period <= STEADY * apart)
+    turns = np.flatnonzero(np.diff(poses.heading_rad)) + 1
+    if np.mean(is_near) < _STEADILY or not np.isin(turns, changing).all():
+        return poses
+    rows = np.arange(len(poses))
+    since = rows - changing[np.searchsorted(changing, rows, side="right") - 1]
+    # A robot at rest repeats its pose by itself.
+    return take_rows(poses, since % period == 0)
 
 
 def turn_to_travel(run: Run) -> PoseColumns:

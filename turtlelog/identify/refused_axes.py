@@ -434,6 +434,7 @@ def _note_drift(runs: Sequence[Run], model: AxisModel) -> Iterator[str]:
     motions = [read_axis_motion(run, model.axis) for run in runs]
     rests = find_rests(motions, model.dead_time_s.value, model.lag_s.value)
     rested_s = float(np.concatenate([one.duration_s for one in motions])[rests].sum())
+    rested_s += sum(one.rested[0] for one in motions)
     if rested_s < RESTED_S:
         yield (
             f"The robot never rests long enough in this log. The drift of the {NAMES[model.axis]}"

@@ -25,11 +25,20 @@ from turtlelog.identify.axis_motion import (
     AxisMotion,
     find_repetition,
     get_commands,
+    predict_axis,
     read_axis_motion,
 )
 from turtlelog.identify.fit_values import cover_parts, cover_rivals, describe_fit
 from turtlelog.identify.held_response import Values
-from turtlelog.identify.robot_model import AxisModel, Estimate, RobotEvent, RobotModel, TickDelays
+from turtlelog.identify.robot_model import (
+    AxisModel,
+    Estimate,
+    RobotEvent,
+    RobotModel,
+    TickDelays,
+    list_unit_faults,
+)
+from turtlelog.identify.robot_noise import LEAST_STEP
 from turtlelog.identify.structure_choice import choose_structure
 from turtlelog.measure.pose_quality import describe_sideways, find_travel_direction
 from turtlelog.plants import TURTLESIM, find_plant
@@ -51,6 +60,10 @@ _FEWEST_STEPS: Final = 50
 _SPARSE_S: Final = 20.0 / _FEWEST_STEPS
 """Usual time between poses above which the suggested drive, ten times 2 s, has too few steps
 [s]."""
+
+_CONTRADICTS: Final = 15.0
+"""Increase of twice the negative log-likelihood of the other axis from which it has no limit of the
+wheels: by chance in 1 of 10,000 robots."""
 
 MOST_STEPS: Final = 100_000
 """Largest number of steps of each axis that are used: half an hour at 50 Hz, in about 5 s. Of a
@@ -78,10 +91,15 @@ def identify_robot(runs: Run | Iterable[Run]) -> RobotModel:
     exact = _identify_ticks(runs)
     if exact is not None:
         return exact
-    (speed, speed_events), (turn_rate, turn_events) = (_identify_axis(runs, axis) for axis in AXES)
+    pairs = [_identify_axis(runs, axis) for axis in AXES]
+    for row, other in enumerate(pairs[::-1]):
+        if _contradicts_wheels(runs, pairs[row][0], other[0]):
+            pairs[row] = _identify_axis(runs, AXES[row], tries_wheels=False)
+    (speed, speed_events), (turn_rate, turn_events) = pairs
     doubt = refused_axes.doubt_waiting
     models = doubt(runs, speed, turn_rate), doubt(runs, turn_rate, speed)
-    notes = [doubt for model in models for doubt in model.doubts]
+    notes = list_unit_faults(models)
+    notes += [doubt for model in models for doubt in model.doubts]
     notes += [
         f"{run.name} is {sideways}. Only the motion ahead or back is identified."
         for run in runs
@@ -108,18 +126,20 @@ def identify_robot(runs: Run | Iterable[Run]) -> RobotModel:
         for run in runs
         if models[0].is_known and (found := find_travel_direction(run)) is not None
     ]
-    pairs = zip(models, (speed_events, turn_events), strict=True)
+    told = zip(models, (speed_events, turn_events), strict=True)
     return RobotModel(
         files=files,
         clock=runs[0].clock,
         speed=models[0],
         turn_rate=models[1],
-        events=tuple(event for model, events in pairs if model.is_known for event in events),
+        events=tuple(event for model, events in told if model.is_known for event in events),
         notes=tuple(notes),
     )
 
 
-def _identify_axis(runs: Sequence[Run], axis: Axis) -> tuple[AxisModel, list[RobotEvent]]:
+def _identify_axis(
+    runs: Sequence[Run], axis: Axis, *, tries_wheels: bool = True
+) -> tuple[AxisModel, list[RobotEvent]]:
     motions = [read_axis_motion(run, axis) for run in runs]
     steps = count_steps(motions)
     refused = refused_axes.refuse_commands(runs, axis)
@@ -140,7 +160,7 @@ def _identify_axis(runs: Sequence[Run], axis: Axis) -> tuple[AxisModel, list[Rob
     except NoGainError as err:
         opposite = refused_axes.refuse_opposite(axis, motions, None)
         return opposite or refused_axes.refuse_axis(axis, "no_gain", error=err), []
-    fit, rivals = choose_structure(fit)
+    fit, rivals = choose_structure(fit, tries_wheels=tries_wheels)
     columns = [np.diff(get_commands(run, axis), prepend=0.0) for run in runs]
     changes = sum(int(np.count_nonzero(column)) for column in columns)
     found = cover_rivals(
@@ -149,6 +169,8 @@ def _identify_axis(runs: Sequence[Run], axis: Axis) -> tuple[AxisModel, list[Rob
         [(rival.model.structure, describe_fit(axis, rival, changes)) for rival in rivals],
     )
     found = cover_parts(found, fit)
+    if not has_sure_wheels(found):
+        return _identify_axis(runs, axis, tries_wheels=False)
     refused = refused_axes.refuse_fit(axis, motions, fit, found)
     refused = refused or refused_axes.refuse_forward(runs, found)
     if refused is not None:
@@ -164,6 +186,46 @@ def _identify_axis(runs: Sequence[Run], axis: Axis) -> tuple[AxisModel, list[Rob
         silent_stops_s=tuple(waits_s),
     )
     return found, _list_events(names, axis, fit)
+
+
+def has_sure_wheels(found: AxisModel) -> bool:
+    """Return whether the intervals of a limit of the wheels' acceleration, if any, are finite."""
+    limits = (found.rate_limit, found.rate_limit_beside)
+    return found.limit_acts != "at_wheels" or all(
+        one is not None and one.low > 0.0 and np.isfinite(one.high) for one in limits
+    )
+
+
+def _contradicts_wheels(runs: Sequence[Run], found: AxisModel, other: AxisModel) -> bool:
+    """Return whether the other axis clearly lacks a limit of the wheels' acceleration.
+
+    For example, the turn rate of a car is in proportion to its speed, which looks like this limit.
+    """
+    own, beside = found.rate_limit, found.rate_limit_beside
+    if own is None or beside is None or found.gain is None or other.gain is None:
+        return False
+    if other.limit_acts:
+        return False
+    # The same limit, as the other axis would show it.
+    shared = replace(
+        other,
+        limit_acts="at_wheels",
+        rate_limit=Estimate(value=other.gain.value * beside.value, low=0.0, high=np.inf),
+        rate_limit_beside=Estimate(value=own.value / found.gain.value, low=0.0, high=np.inf),
+        **dict.fromkeys(("lag_product_s2", "bound", "bound_beside", "deadband", "reverse_gain")),
+        **dict.fromkeys(("friction", "drift")),
+        bound_acts="",
+        model="first_order",
+    )
+    squares, steps = np.zeros(2), 0
+    for run in runs:
+        motion = read_axis_motion(run, other.axis)
+        for row, model in enumerate((other, shared)):
+            way, _ = predict_axis(model, run, motion.time_s)
+            off = motion.moved - (way[motion.first + 1] - way[motion.first])
+            squares[row] += float(off @ off)
+        steps += len(motion.moved)
+    return bool(steps * np.log(squares[1] / max(squares[0], LEAST_STEP**2)) > _CONTRADICTS)
 
 
 def _find_usual_step(run: Run) -> float:

@@ -378,8 +378,54 @@ _WHOLE_MS: Final = 10.0
 """Width of an interval from which tenths of a millisecond are not printed [ms]."""
 
 
+_DEGREES: Final = math.degrees(1.0)
+
+_UNIT_FAULTS: Final[Mapping[Axis, tuple[tuple[float, str, str], ...]]] = {
+    "speed": (
+        (
+            100.0,
+            "positions of the poses are probably in cm",
+            "x='NAME [cm]' --column y='NAME [cm]'",
+        ),
+        (
+            1000.0,
+            "positions of the poses are probably in mm",
+            "x='NAME [mm]' --column y='NAME [mm]'",
+        ),
+        (0.01, "commanded speeds are probably in cm/s", "command_speed='NAME [cm/s]'"),
+        (0.001, "commanded speeds are probably in mm/s", "command_speed='NAME [mm/s]'"),
+    ),
+    "turn_rate": (
+        (_DEGREES, "headings of the poses are probably in deg", "heading='NAME [deg]'"),
+        (
+            1.0 / _DEGREES,
+            "commanded turn rates are probably in deg/s",
+            "command_turn_rate='NAME [deg/s]'",
+        ),
+    ),
+}
+"""Gain of a robot with a gain of 1 if a unit is wrong, the wrong unit, and the right column."""
+
+_SOUND: Final = (0.5, 1.5)
+"""Gains of usual robots [1]."""
+
+
+def list_unit_faults(axes: Sequence[AxisModel]) -> list[str]:
+    """Return sentences on gains that are probably those of another unit, with the right option."""
+    return [
+        f"The {what}, because the gain of the {NAMES[axis.axis]} is {axis.gain.value:.3g}. For a"
+        f" table, add --column {column}, where NAME is the column."
+        for axis in axes
+        if axis.gain is not None
+        for gain, what, column in _UNIT_FAULTS[axis.axis]
+        if _SOUND[0] <= axis.gain.value / gain <= _SOUND[1]
+    ]
+
+
 def write_robot_headline(axes: Sequence[AxisModel], name: str) -> list[str]:
     """Return how each axis follows its commands as sentences: delays, gains, and doubts.
+
+    A probably wrong unit comes first.
 
     Args:
         axes: Axes of the robot.
@@ -392,7 +438,10 @@ def write_robot_headline(axes: Sequence[AxisModel], name: str) -> list[str]:
     ]
     if not delays:
         return [f"{name}: no axis could be identified."]
-    said = [f"{name}: total delay {', '.join(delays)}."]
+    faults = " ".join(list_unit_faults(axes))
+    said = [f"{name}: {faults[0].lower()}{faults[1:]}"] if faults else []
+    total = f"total delay {', '.join(delays)}."
+    said.append(f"T{total[1:]}" if said else f"{name}: {total}")
     gains = [
         f"{NAMES[axis.axis]} {axis.gain.value:.3f}{axis.exceptions}"
         + (f" up to its limit of {_show(axis.bound)}" if axis.bound else "")

@@ -215,13 +215,17 @@ def _list_standing(model: RobotModel, run: Run) -> Iterator[slice]:
     moves = np.logical_or(*(get_commands(run, axis) != 0.0 for axis in AXES))
     edges = np.flatnonzero(np.diff(moves, prepend=True))
     ends_s = np.append(command_s[edges], np.inf)[1:].tolist()
-    # The command before the first one is unknown; the motion shows it.
-    stretches = [(-np.inf, float(command_s[0]))]
-    stretches += [
+    stretches = [
         (float(command_s[row]) + settle_s, end_s)
         for row, end_s in zip(edges.tolist(), ends_s, strict=True)
         if not moves[row]
     ]
+    # The command before the first one is unknown; the motion shows it.
+    second = slice(0, int(np.searchsorted(time_s, time_s[0] + RESTED_S, side="right")))
+    if not moves[0] and second.stop > 2 and _stands(model, run, second):
+        stretches[0] = (-np.inf, ends_s[0])
+    else:
+        stretches.insert(0, (-np.inf, float(command_s[0])))
     for begin_s, end_s in stretches:
         first, last = np.searchsorted(time_s, [begin_s, end_s]).tolist()
         rows = slice(first, last)

@@ -91,7 +91,7 @@ _Tried = dict[Structure, AxisFit]
 _Neighbours = Iterable[tuple[Structure, Starts]]
 
 
-def choose_structure(fit: AxisFit) -> tuple[AxisFit, list[AxisFit]]:
+def choose_structure(fit: AxisFit, *, tries_wheels: bool = True) -> tuple[AxisFit, list[AxisFit]]:
     """Return the fit of the best structure for the motion, and the fits of its rivals.
 
     Friction with a steep gain looks like a deadband if few commands are small, and a search that
@@ -109,7 +109,8 @@ def choose_structure(fit: AxisFit) -> tuple[AxisFit, list[AxisFit]]:
         if measure_score(other) < measure_score(found) and _is_better(found, other, splits):
             found = other
     # A limit of the wheels' acceleration has no further parts: a search ends there.
-    found = _search(found, tried, splits, _list_wheels)
+    if tries_wheels:
+        found = _search(found, tried, splits, _list_wheels)
     return found, [rival for rival in tried.values() if is_rival(found, rival)]
 
 
@@ -210,9 +211,11 @@ def shows_drift(fit: AxisFit) -> bool:
         return True
     gain, dead_time_s, lag_s = fit.parameters[: LAG + 1].tolist()
     at_rest = find_rests(fit.model.motions, dead_time_s, lag_s) & ~fit.is_outlier
-    rested_s = float(fit.model.duration_s[at_rest].sum())
+    before_s, before = np.sum([one.rested for one in fit.model.motions], axis=0).tolist()
+    rested_s = before_s + float(fit.model.duration_s[at_rest].sum())
     if rested_s >= RESTED_S:
-        off = float(fit.residual[at_rest].sum()) / rested_s / gain if gain > 0.0 else 0.0
+        off = float(fit.residual[at_rest].sum()) + before - gain * drift * before_s
+        off = off / rested_s / gain if gain > 0.0 else 0.0
         return bool((drift + off) * drift > _AT_REST * drift**2)
     alone = np.concatenate([one.is_alone(dead_time_s) for one in fit.model.motions])
     alone &= ~fit.is_outlier

@@ -120,14 +120,19 @@ def find_travel_direction(run: Run) -> TravelDirection | None:
     (least, most), axes = np.linalg.eigh(moved_m.T @ moved_m)
     ahead, aside = axes[:, 1].tolist()
     angle_rad = math.atan(aside / ahead) if ahead else math.pi / 2.0
-    unexplained = least / (least + most * math.sin(angle_rad) ** 2) if angle_rad else 1.0
+    against = math.sin(angle_rad) ** 2
+    ways = moved_m @ np.array([math.cos(angle_rad), math.sin(angle_rad)])
+    # Swapped motors, too, drive against commands alone, so straight back needs both.
+    has_both = run.poses.measured_speed_m_s is not None and len(run.commands) > 0
+    may_turn = has_both or abs(angle_rad) >= _LEAST_RAD
+    if may_turn and _goes_against(run, ways, ends):
+        angle_rad -= math.copysign(math.pi, angle_rad)
+        against = 1.0
+    unexplained = least / (least + most * against) if against else 1.0
     is_clear = most > _LEFT * energy and unexplained < 1.0 - _EXPLAINED
     is_clear &= abs(angle_rad) >= _LEAST_RAD
     if not is_clear:
         return None
-    ways = moved_m @ np.array([math.cos(angle_rad), math.sin(angle_rad)])
-    if _goes_against(run, ways, ends):
-        angle_rad -= math.copysign(math.pi, angle_rad)
     return TravelDirection(angle_rad=angle_rad)
 
 
