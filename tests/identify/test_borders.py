@@ -2,6 +2,7 @@
 
 from copy import copy
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,11 +16,13 @@ from tests.known import known
 from turtlelog.cli.identify import format_robot
 from turtlelog.identify import AxisModel, Estimate
 from turtlelog.identify.axis_fit import fit_axis
-from turtlelog.identify.axis_motion import read_axis_motion
+from turtlelog.identify.axis_motion import MEMORY_S, read_axis_motion
 from turtlelog.identify.fit_values import cover_parts, describe_fit
 from turtlelog.identify.refused_axes import refuse_begun
 from turtlelog.identify.robot_noise import find_outlying_steps
-from turtlelog.measure.response import find_silent_stops
+from turtlelog.identify.silent_stops import find_silent_stops
+
+find_stops = partial(find_silent_stops, memory_s=MEMORY_S)
 
 QUIET = Log(duration_s=12.0, jitter_s=0.0)
 
@@ -168,7 +171,7 @@ def test_a_silence_must_be_long_to_be_a_stop(silence_s: float, stops: int) -> No
     moved = np.where(time_s[:-1] < 1.25, 0.01, 0.0)
     command_s = np.array([0.0, 0.5, 1.0, 1.0 + silence_s, 2.0, 2.5, 3.0, 3.5])
     command = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    found = find_silent_stops(command_s, command, time_s, moved)
+    found = find_stops(command_s, command, time_s, moved)
     assert len(found) == stops
     assert all(stop.stop_s == pytest.approx(1.25, abs=0.06) for stop in found)
 
@@ -188,7 +191,7 @@ def test_silences_as_long_as_that_of_a_known_stop_may_hide_another(
     moved = np.where(time_s[:-1] < 3.0 + wait_s, 0.01, 0.0)
     later_s = np.arange(1.0 + silence_s, 2.95, 0.2)
     command_s = np.array([*np.arange(0.0, 1.01, 0.2), *later_s, 3.0])
-    found = find_silent_stops(command_s, np.ones(len(command_s)), time_s, moved)
+    found = find_stops(command_s, np.ones(len(command_s)), time_s, moved)
     assert [stop.is_seen for stop in found] == [False] * stops + [True]
     assert found[-1].stop_s == pytest.approx(3.0 + wait_s, abs=0.06)
     assert all(stop.stop_s < 1.0 + silence_s < stop.end_s for stop in found[:-1])
@@ -198,7 +201,7 @@ def test_silences_as_long_as_that_of_a_known_stop_may_hide_another(
 def test_a_robot_that_still_moves_has_not_stopped(share: float, stops: int) -> None:
     time_s = np.arange(0.0, 4.0, 0.01)
     moved = np.where(time_s[:-1] < 1.5, 0.01, share * 0.01)
-    found = find_silent_stops(np.array([0.0]), np.array([1.0]), time_s, moved)
+    found = find_stops(np.array([0.0]), np.array([1.0]), time_s, moved)
     assert len(found) == stops
 
 
@@ -208,7 +211,7 @@ def test_a_robot_that_follows_a_slow_command_has_not_stopped(share: float, stops
     time_s = np.arange(0.0, 4.0, 0.01)
     moved = 0.01 * np.where(time_s[:-1] < 1.2, 1.0, share * 0.05)
     command = np.array([1.0, 0.05])
-    found = find_silent_stops(np.array([0.0, 1.0]), command, time_s, moved)
+    found = find_stops(np.array([0.0, 1.0]), command, time_s, moved)
     assert len([stop for stop in found if stop.begin_s == 1.0]) == stops
 
 
@@ -217,7 +220,7 @@ def test_noise_of_poses_does_not_hide_that_a_slow_robot_stops() -> None:
     for seed in range(20):
         noise_m = np.random.default_rng(seed).normal(0.0, 2e-4, len(time_s))
         way_m = 0.036 * np.minimum(time_s, 1.5) + noise_m
-        found = find_silent_stops(np.array([0.0]), np.array([0.04]), time_s, np.diff(way_m))
+        found = find_stops(np.array([0.0]), np.array([0.04]), time_s, np.diff(way_m))
         assert [stop.stop_s for stop in found] == pytest.approx([1.5], abs=0.11)
 
 

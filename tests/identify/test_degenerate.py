@@ -2,6 +2,7 @@
 
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +19,11 @@ from turtlelog.compare import compare_robot
 from turtlelog.errors import TurtlelogError
 from turtlelog.identify import build_robot_scenario
 from turtlelog.identify.axis_fit import _estimate_covariance
+from turtlelog.identify.axis_motion import MEMORY_S
 from turtlelog.identify.robot_noise import fit_noise
-from turtlelog.measure.response import find_silent_stops
+from turtlelog.identify.silent_stops import find_silent_stops
+
+find_stops = partial(find_silent_stops, memory_s=MEMORY_S)
 
 SIZES = st.sampled_from([0.0, 1e-300, 1e-9, 0.5, 1.0, 1e8, 1e150])
 
@@ -44,7 +48,7 @@ def test_noise_of_a_robot_that_stands_is_no_stop(hz: float) -> None:
     time_s, stops = np.arange(0.0, 12.0, 1.0 / hz), 0
     for seed in range(100):
         wander_m = np.diff(np.random.default_rng(seed).normal(0.0, 2e-3, len(time_s)))
-        stops += len(find_silent_stops(np.zeros(1), np.array([0.3]), time_s, wander_m))
+        stops += len(find_stops(np.zeros(1), np.array([0.3]), time_s, wander_m))
     assert stops == 0
 
 
@@ -53,7 +57,7 @@ def test_a_robot_that_hardly_moved_in_a_silence_did_not_stop_in_it(went: float, 
     # 0.1 of the command's way in a second: a quarter of it, for the shortest silence of 0.4 s.
     time_s = np.arange(0.0, 3.0, 0.01)
     moved = np.where(time_s[:-1] < 0.5, went / 50.0, 0.0)
-    assert len(find_silent_stops(np.zeros(1), np.ones(1), time_s, moved)) == stops
+    assert len(find_stops(np.zeros(1), np.ones(1), time_s, moved)) == stops
 
 
 @pytest.mark.parametrize(("ratio", "stops"), [(2.7, 0), (3.3, 1)])
@@ -61,7 +65,7 @@ def test_a_stop_stands_out_of_how_far_the_poses_wander(ratio: float, stops: int)
     time_s = np.arange(0.0, 3.0, 0.01)
     way_m = np.minimum(time_s, 0.5) * 0.02 * ratio / 0.5
     way_m[-31::2] -= 0.02  # down and up, back at the end of what is looked at
-    found = find_silent_stops(np.zeros(1), np.array([0.01]), time_s, np.diff(way_m))
+    found = find_stops(np.zeros(1), np.array([0.01]), time_s, np.diff(way_m))
     assert len(found) == stops
 
 

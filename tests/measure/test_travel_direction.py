@@ -207,9 +207,9 @@ def test_reported_speeds_show_which_end_is_ahead(mounted_deg: float, backward: f
 
 
 def test_a_heading_that_points_backward_is_no_fault_of_the_driver() -> None:
-    """Two robots are identified."""
+    """Two robots are identified. One fault, a turned heading, is likelier than two."""
     run = drive(*draw_commands(), mounted_deg=120.0)
-    assert "reverse the sign of the speed" in identify_robot(run).speed.advice
+    assert "reverse the sign of the speed" not in identify_robot(run).speed.advice
     model = identify_robot(report(run, 120.0))
     assert model.speed.gain is not None
     assert model.speed.gain.value == pytest.approx(1.0, abs=0.01)
