@@ -342,8 +342,9 @@ class Run:
         return display.format_notebook(self._describe_end(), picture, display.format_html(rows))
 
     def find_phase_spans(self) -> tuple[PhaseSpan, ...]:
-        """Return the phases in order; the time without samples after a phase is the phase `pause`.
+        """Return the phases in order; a longer time without samples after a phase is a `pause`.
 
+        It is longer than 1.5 sampling periods: after one period, the next phase simply begins.
         If a run ends while its controller is blocked, the last phase is this pause.
         """
         return find_phase_spans(self)
