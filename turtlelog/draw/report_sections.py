@@ -18,7 +18,8 @@ from turtlelog.display import describe_count, join_words
 from turtlelog.draw.report_drawing import MOST_VIOLATIONS
 from turtlelog.escapes import escape_controls
 from turtlelog.explain import Attribution, choose_leading, choose_named, write_sentences
-from turtlelog.measure import Metric
+from turtlelog.log.read_choice import label_note
+from turtlelog.measure import Metric, describe_source
 from turtlelog.run import CUT_SHORT, Run
 
 _MOST_DIFFERING: Final = 8  # keys in a table of differences; more keys would be wider than a page
@@ -87,6 +88,17 @@ def write_attribution(name: str, found: Attribution) -> str:
         bars = f'<div class="steps">{"".join(parts)}</div>{notes}'
     head = f"<h2>What caused {show(found.metric)} of {show(name)}</h2>"
     return f'<section id="cause">{head}{bars}<ul>{sentences}</ul></section>'
+
+
+def write_notes(runs: Sequence[Run], names: Sequence[str]) -> str:
+    """Return the notes on the data of the runs, as `info` shows them; empty without notes."""
+    whose: dict[str, list[str]] = {}
+    for run, name in zip(runs, names, strict=True):
+        for note, text in describe_source(run).items():
+            whose.setdefault(f"{label_note(note)}: {text}", []).append(name)
+    lines = [f"{name_few(of)}: {text}" if len(runs) > 1 else text for text, of in whose.items()]
+    told = "".join(f'<p class="note">{show(line)}</p>' for line in lines)
+    return f'<section id="notes">{told}</section>' if told else ""
 
 
 def write_checks(lines: Sequence[CheckLine]) -> str:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.display import describe_count, format_short, join_words
+from turtlelog.log.read_choice import NOTES
 from turtlelog.measure.breaks import (
     ACCELERATION,
     ROUNDING,
@@ -26,7 +27,14 @@ from turtlelog.measure.breaks import (
     measure_steps,
 )
 from turtlelog.measure.metric import Metric
-from turtlelog.measure.rates import AXES, Axis, describe_repetition, find_changing_rows, space_poses
+from turtlelog.measure.rates import (
+    AXES,
+    Axis,
+    describe_outliers,
+    describe_repetition,
+    find_changing_rows,
+    space_poses,
+)
 from turtlelog.measure.reductions import Values, compute_median, subtract_neighbours
 from turtlelog.measure.references import recall
 from turtlelog.measure.signals import sign_speeds
@@ -309,6 +317,17 @@ def describe_sideways(run: Run) -> str:
 
 _JUMPED: Final = 0.1
 """Share of a jump from which the distance driven meanwhile is mentioned."""
+
+
+def describe_source(run: Run) -> dict[str, str]:
+    """Return notes on the data of a run, by name: its clock and source, jumps, gaps, outliers."""
+    shown = (name for name, kind in NOTES.items() if kind.in_info and name in run.notes)
+    notes = {name: run.notes[name] for name in shown}
+    notes |= describe_breaks(run) if run.poses.speed_m_s is None else {}
+    notes |= describe_outliers(run) | describe_travel(run)
+    if sideways := describe_sideways(run):
+        notes["sideways"] = f"{sideways}; speeds are those ahead or back"
+    return notes
 
 
 def describe_breaks(run: Run) -> dict[str, str]:
