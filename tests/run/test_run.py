@@ -10,6 +10,7 @@ import pytest
 
 from tests.sequential import DECLARATION, DONE, ROTATE, TRANSLATE
 from turtlelog.errors import RunError
+from turtlelog.measure import measure_run
 from turtlelog.run import CommandColumns, PhaseSpan, PoseColumns, Run, SampleColumns
 from turtlelog.run.loops import Declaration
 from turtlelog.scenario import get_preset
@@ -318,6 +319,12 @@ def test_a_scenario_without_a_pause_has_none(*, moves: bool) -> None:
     run = simulate_run(scenario if moves else still)
     assert [span.phase for span in run.find_phase_spans()] == ["rotate", "translate"]
     assert "pause" not in run._repr_html_()
+
+
+def test_a_notebook_shows_the_length_of_a_phase_that_its_metric_has() -> None:
+    run = simulate_run(get_preset("paper-kp10"))
+    shown = format(float(measure_run(run)["rotate.duration"]), ".4g")
+    assert f"rotate {shown} s with its pause of 0.528 s, translate " in run._repr_html_()
 
 
 def test_spans_of_a_run_join_without_gaps() -> None:

@@ -21,6 +21,7 @@ from turtlelog.explain import Attribution, choose_leading, choose_named, write_s
 from turtlelog.log.read_choice import label_note
 from turtlelog.measure import Metric, describe_source
 from turtlelog.run import CUT_SHORT, Run
+from turtlelog.run.stop_reasons import MAX_DURATION
 
 _MOST_DIFFERING: Final = 8  # keys in a table of differences; more keys would be wider than a page
 _LEAST_PERCENT: Final = 0.4  # smallest visible width of a bar [% of the width]
@@ -245,7 +246,10 @@ def conclude_runs(
     for group in group_equal(runs):
         if len(group) > 1:
             sentences.append(f"{name_few([names[n] for n in group])} are equal in every row.")
-    cut = [name for run, name in zip(runs, names, strict=True) if run.stop_reason in CUT_SHORT]
+    ended = [(run.stop_reason, name) for run, name in zip(runs, names, strict=True)]
+    if late := [name for reason, name in ended if reason == MAX_DURATION]:
+        sentences.append(f"{name_few(late)} reached the time limit.")
+    cut = [name for reason, name in ended if reason in CUT_SHORT - {MAX_DURATION}]
     if cut:
         whose = "its" if len(cut) == 1 else "their"
         sentences.append(f"{name_few(cut)} did not come to {whose} own end.")

@@ -3,7 +3,7 @@
 import json
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from numbers import Real
 from typing import TYPE_CHECKING, Any, Final, NoReturn
@@ -281,6 +281,18 @@ class PhaseSpan:
     phase: str
     start_ns: int
     end_ns: int
+
+
+def describe_phase_lengths(spans: Sequence[PhaseSpan]) -> Iterator[str]:
+    """Yield the length of each phase with its pause, as metrics count it."""
+    for span, after in zip(spans, (*spans[1:], None), strict=True):
+        if span.phase == PAUSE:
+            continue
+        is_paused = after is not None and after.phase == PAUSE
+        last = after if after is not None and is_paused else span
+        text = f"{span.phase} {(last.end_ns - span.start_ns) / 1e9:.4g} s"
+        pause_s = (last.end_ns - span.end_ns) / 1e9
+        yield f"{text} with its pause of {pause_s:.3g} s" if is_paused else text
 
 
 _SILENT: Final = 1.5
