@@ -574,5 +574,5 @@ def test_a_legend_lists_only_what_its_panels_show(still: tl.Run, name: str) -> N
 
 
 def test_a_value_of_0_that_no_effect_changes_has_no_attribution(still: tl.Run) -> None:
-    with pytest.raises(ShowError, match="final.position_error is 0 m: no effect changes it"):
+    with pytest.raises(ShowError, match=r"final\.position_error is 0 m: no effect changes it"):
         tl.draw.draw_figure("attribution", [still])

@@ -105,7 +105,7 @@ def test_a_type_may_be_named_in_several_ways(name: str, tmp_path: Path) -> None:
         ("{}", "expected a type and a name, found '{}'"),
         (
             f"int32 a\n{LINE}SRV: test/A\nint32 a\n",
-            "the line after ===== does not name a message type",
+            "after =====, expected MSG: and a type",
         ),
         (f"A[9999] a\n{LINE}MSG: test/A\nint32 a\nint32 b\n", "expected up to 10000 fields"),
         (f"A[999999999] a\n{LINE}MSG: test/A\n", "expected up to 10000 fields"),
