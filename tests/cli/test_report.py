@@ -14,7 +14,7 @@ import turtlelog as tl
 from tests.identify.robots import Log, make_run, write_bag
 from turtlelog.charts.close_up import format_length
 from turtlelog.cli.app import main
-from turtlelog.draw.report_sections import conclude_checks
+from turtlelog.draw.report_sections import conclude_checks, conclude_runs, write_table
 
 RECORDINGS = Path(__file__).parents[2] / "recordings" / "paper"
 
@@ -179,3 +179,19 @@ def test_a_report_has_the_notes_on_its_data_that_info_gives(
     for name, note in notes.items():
         place = text.index(f"{name.replace('_', ' ')}: {note}")
         assert place < text.index('id="stage"')
+
+
+@pytest.mark.parametrize(("rows", "is_told"), [(15, False), (16, True)])
+def test_a_table_that_scrolls_in_its_box_says_how_many_rows_it_has(
+    rows: int, *, is_told: bool
+) -> None:
+    columns = (tl.compare.Column(title="key"), tl.compare.Column(title="value"))
+    table = tl.compare.Table(title="Values", columns=columns, rows=((("a", 1.0),) * rows))
+    assert (f"Values, {rows} rows" in write_table(table)) is is_told
+
+
+def test_runs_that_the_time_limit_ended_are_told_so() -> None:
+    scenario = tl.scenario.get_preset("paper-kp4")
+    ended = tl.simulate_run(replace(scenario, max_duration_s=2.0))
+    told = conclude_runs([ended], ["short"], [tl.measure_run(ended)])
+    assert "short reached the time limit." in told

@@ -209,9 +209,15 @@ def _list_scenario(run: Run) -> str:
     return _wrap_table("", ["key", "value"], rows) if rows else "<p>None is recorded.</p>"
 
 
+_MOST_SEEN: Final = 15
+"""Rows that fit into a table's box of 30 rem (report.css); more rows scroll in the box."""
+
+
 def _wrap_table(title: str, heads: Sequence[str], rows: Sequence[str]) -> str:
     """Return a table that scrolls on its own in a narrow window; the titles are HTML."""
-    caption = f"<caption>{show(title)}</caption>" if title else ""
+    count = f"{len(rows)} rows" if len(rows) > _MOST_SEEN else ""
+    told = ", ".join(filter(None, [show(title), count]))
+    caption = f"<caption>{told}</caption>" if told else ""
     head = "".join(f'<th scope="col">{text}</th>' for text in heads)
     label = f' aria-label="{show(title)}"' if title else ""
     return (
