@@ -128,7 +128,7 @@ def add_legend(figure: Figure, without: Collection[str] = ()) -> None:
 
 def _is_seen(axes: Axes, handle: Any) -> bool:
     """Return whether an entry is seen: for lines, whether any of that style is, uncovered."""
-    if not isinstance(handle, Line2D) or not len(handle.get_ydata()):
+    if not isinstance(handle, Line2D) or not np.size(handle.get_ydata()):
         return True
     looks = _describe_looks("", handle)
     lines = [line for line in axes.get_lines() if _describe_looks("", line) == looks]
