@@ -212,3 +212,9 @@ def test_use_of_a_name_without_its_library_is_one_of_our_errors(tmp_path: Path) 
     said = done.stdout.splitlines()
     assert [line.partition(":")[0] for line in said] == ["matplotlib", "rerun-sdk", "False"]
     assert "ImportError: cannot import name 'no_such_name' from 'turtlelog'" in done.stderr
+
+
+def test_an_unknown_name_suggests_the_nearest() -> None:
+    with pytest.raises(AttributeError, match="did you mean read_recording"):
+        _ = tl.load_recording  # type: ignore[attr-defined]
+    assert not hasattr(tl, "nothing_like_it")

@@ -89,6 +89,8 @@ def attach_names(package: str, file: str) -> tuple[Callable[[str], Any], Callabl
     def load_name(name: str) -> Any:
         if name == "__all__":
             return list_names()
+        if name not in listed and not name.startswith("_"):
+            raise AttributeError(_describe_unknown(package, name, list_names()))
         try:
             return load(name)
         except LibraryError as err:
@@ -96,6 +98,15 @@ def attach_names(package: str, file: str) -> tuple[Callable[[str], Any], Callabl
             raise LibraryAttributeError(str(err)) from err
 
     return load_name, lambda: list_names().copy()
+
+
+def _describe_unknown(package: str, name: str, known: list[str]) -> str:
+    """Return the message for a name that a package does not have, with the nearest name."""
+    from difflib import get_close_matches  # only for this message
+
+    nearest = get_close_matches(name, known, n=1)
+    advice = f"; did you mean {nearest[0]}?" if nearest else ""
+    return f"No {package} attribute {name}{advice}"
 
 
 def _list_lacking(package: str, file: str) -> Iterator[str]:

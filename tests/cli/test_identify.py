@@ -164,6 +164,22 @@ def test_a_figure_of_one_robot_is_drawn(call: Call, bag: Path, tmp_path: Path) -
     assert (tmp_path / "robot.svg").read_bytes().startswith(b"<?xml")
 
 
+def test_without_a_model_the_exit_code_is_1_and_the_motion_is_drawn(
+    call: Call, tmp_path: Path
+) -> None:
+    held = make_run(LOG, 6)
+    commands = held.commands
+    same = {"speed_m_s": 0.2, "turn_rate_rad_s": 0.3}
+    constant = {name: value + 0.0 * getattr(commands, name) for name, value in same.items()}
+    bag = write_bag(replace(held, commands=replace(commands, **constant)), tmp_path / "held.mcap")
+    asked = ["--plot", tmp_path / "held.svg", "--rrd", tmp_path / "held.rrd"]
+    answer = call("identify", bag, *asked)
+    assert answer.code == 1
+    assert "motion" in (tmp_path / "held.svg").read_text()
+    assert "held.rrd is not written: no axis was identified" in answer.err
+    assert not (tmp_path / "held.rrd").exists()
+
+
 def test_a_view_holds_command_motion_model_and_residual(
     call: Call, bag: Path, tmp_path: Path
 ) -> None:

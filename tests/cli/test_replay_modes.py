@@ -316,7 +316,8 @@ def test_a_recording_of_a_law_that_is_gone_says_so(call: Call, tmp_path: Path) -
         ),
         (["kp4.mcap", "--set", "law.kp_linear=nan"], "--set: law.kp_linear: expected a finite num"),
         (["kp4.mcap", "--scenario", "no"], 'no preset or file "no"'),
-        (["kp4.mcap", "--tolerance", "nan"], "tolerance: expected a number >= 0, found nan"),
+        (["kp4.mcap", "--tolerance", "nan"], "expected a finite number >= 0, found nan"),
+        (["kp4.mcap", "--tolerance", "inf"], "expected a finite number >= 0, found inf"),
         (
             ["kp4.mcap", "--set", "max_duration_s=0.01"],
             "no pose is answered within max_duration_s = 0.01",

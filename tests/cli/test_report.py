@@ -5,14 +5,16 @@ import math
 import re
 import shlex
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 import turtlelog as tl
+from tests.identify.robots import Log, make_run, write_bag
 from turtlelog.charts.close_up import format_length
 from turtlelog.cli.app import main
-from turtlelog.draw.report_sections import conclude_checks
+from turtlelog.draw.report_sections import conclude_checks, conclude_runs, write_table
 
 RECORDINGS = Path(__file__).parents[2] / "recordings" / "paper"
 
@@ -159,3 +161,37 @@ def test_of_a_bag_the_files_in_its_folder_are_hashed(tmp_path: Path) -> None:
     keys = [hashlib.sha256(name.encode()).hexdigest() for name in ("bag_0.mcap", "metadata.yaml")]
     expected = f"<code>bag_0.mcap {keys[0]}, metadata.yaml {keys[1]}</code>"
     assert expected in path.read_text("utf-8")
+
+
+def test_a_report_has_the_notes_on_its_data_that_info_gives(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The robot is carried half a metre away."""
+    driven = make_run(Log(duration_s=8.0, noise_m=0.0, noise_rad=0.0, jitter_s=0.0), 1)
+    xy_m = driven.poses.xy_m.copy()
+    xy_m[100:] += 0.5
+    carried = replace(driven, poses=replace(driven.poses, xy_m=xy_m))
+    path = write_bag(carried, tmp_path / "carried.mcap")
+    notes = tl.measure.describe_source(tl.read_run(path))
+    assert {"jumps", "clock"} <= notes.keys()
+    assert run(capsys, "report", path, "-o", tmp_path / "report.html")[0] == 0
+    text = html.unescape((tmp_path / "report.html").read_text("utf-8"))
+    for name, note in notes.items():
+        place = text.index(f"{name.replace('_', ' ')}: {note}")
+        assert place < text.index('id="stage"')
+
+
+@pytest.mark.parametrize(("rows", "is_told"), [(15, False), (16, True)])
+def test_a_table_that_scrolls_in_its_box_says_how_many_rows_it_has(
+    rows: int, *, is_told: bool
+) -> None:
+    columns = (tl.compare.Column(title="key"), tl.compare.Column(title="value"))
+    table = tl.compare.Table(title="Values", columns=columns, rows=((("a", 1.0),) * rows))
+    assert (f"Values, {rows} rows" in write_table(table)) is is_told
+
+
+def test_runs_that_the_time_limit_ended_are_told_so() -> None:
+    scenario = tl.scenario.get_preset("paper-kp4")
+    ended = tl.simulate_run(replace(scenario, max_duration_s=2.0))
+    told = conclude_runs([ended], ["short"], [tl.measure_run(ended)])
+    assert "short reached the time limit." in told

@@ -10,6 +10,7 @@ import pytest
 
 from tests.sequential import DECLARATION, DONE, ROTATE, TRANSLATE
 from turtlelog.errors import RunError
+from turtlelog.measure import measure_run
 from turtlelog.run import (
     CommandColumns,
     PhaseSpan,
@@ -303,10 +304,35 @@ def test_silence_after_the_last_rotating_sample_is_a_pause() -> None:
 
 def test_every_phase_has_its_own_pause() -> None:
     phase = [ROTATE, TRANSLATE, ROTATE, TRANSLATE, DONE]
-    run = make_run_of_phases(phase, [0, 10, 20, 30, 40])
+    run = make_run_of_phases(phase, [0, 20, 40, 60, 80])
     labels = [label for label, _, _ in list_spans(run)]
     again = ["rotate", "pause", "translate", "pause"]
     assert labels == [*again, *again, "done"]
+
+
+@pytest.mark.parametrize(("silent_ns", "is_pause"), [(10, False), (14, False), (15, True)])
+def test_a_pause_is_longer_than_the_sampling_period(silent_ns: int, *, is_pause: bool) -> None:
+    times_ns = [0, 10, 20 + silent_ns - 10, 30 + silent_ns - 10]
+    spans = list_spans(make_run_of_phases([ROTATE, ROTATE, TRANSLATE, TRANSLATE], times_ns))
+    rotating = [("rotate", 0, 10), ("pause", 10, 10 + silent_ns)]
+    rotating = rotating if is_pause else [("rotate", 0, 10 + silent_ns)]
+    assert spans == [*rotating, ("translate", 10 + silent_ns, 20 + silent_ns)]
+
+
+@pytest.mark.parametrize("moves", [True, False])
+def test_a_scenario_without_a_pause_has_none(*, moves: bool) -> None:
+    scenario = get_preset("textbook")
+    start = scenario.start
+    still = replace(scenario, goal=replace(scenario.goal, x_m=start.x_m, y_m=start.y_m))
+    run = simulate_run(scenario if moves else still)
+    assert [span.phase for span in run.find_phase_spans()] == ["rotate", "translate"]
+    assert "pause" not in run._repr_html_()
+
+
+def test_a_notebook_shows_the_length_of_a_phase_that_its_metric_has() -> None:
+    run = simulate_run(get_preset("paper-kp10"))
+    shown = format(float(measure_run(run)["rotate.duration"]), ".4g")
+    assert f"rotate {shown} s with its pause of 0.528 s, translate " in run._repr_html_()
 
 
 def test_spans_of_a_run_join_without_gaps() -> None:

@@ -120,7 +120,7 @@ def test_run_is_a_table_in_a_notebook() -> None:
     html = dataclasses.replace(RUN, name="<b>bold</b>")._repr_html_()
     assert "<b>bold" not in html
     assert "&lt;b&gt;bold" in html
-    for text in ("(2, 10) m", "12.6 s", "standstill", "770 samples", "rotate 2.46 s"):
+    for text in ("(2, 10) m", "12.6 s", "standstill", "770 samples", "rotate 2.992 s"):
         assert text in html
 
 

@@ -20,7 +20,7 @@ from turtlelog.check.reference import (
 )
 from turtlelog.check.result import CheckOutcome, CheckResult, fail_recording, watch_metric
 from turtlelog.compare import Tolerance
-from turtlelog.errors import CheckError, MissingValueError, PartialLogError
+from turtlelog.errors import CheckError, LogError, MissingValueError, PartialLogError
 from turtlelog.expressions import parse_expression
 from turtlelog.files.urls import make_path
 from turtlelog.identify import AxisModel, Estimate, RobotModel, identify_robot
@@ -90,7 +90,12 @@ class Recording:
             PartialLogError: If the recording is incomplete and this is not allowed.
             LogError: If the recording cannot be read.
         """
-        run = self._run
+        try:
+            run = self._run
+        except LogError as err:
+            reason = str(err).removeprefix(f"{self.path}: ")
+            self._note(fail_recording(self.file, reason))
+            raise
         if self._watch is not None:
             self._watch(self, None)
         lost = None if self._allow_partial else find_loss(run)

@@ -98,7 +98,7 @@ def explain(
         file: A recording (.mcap), a ROS 2 bag, a table (.csv, .parquet, .tum), or one of the
             paper's logs (.json, .csv).
         metric: Metric to explain, by its id (turtlelog list metrics). Default: the final position
-            error, or without a goal the error of the last loop.
+            error; without a goal, the error of the last loop; without a loop, run.path_length.
         causes: Effects and design parameters among which the metric is divided, separated by commas
             (turtlelog list causes). Default: every effect of the run, at most the six that change
             the metric most.

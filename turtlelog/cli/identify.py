@@ -89,9 +89,17 @@ def identify(
     if robot is not None:
         text = robot.text
         console.write_asked(scenario, lambda path: console.write_text(path, text))
-    console.write_asked(plot, lambda path: tl.draw.write_robot_figure(model, runs[0], path))
-    console.write_asked(rrd, lambda path: tl.draw.write_robot_rrd(model, runs[0], path))
-    return console.EXIT_FINE if any(axis.is_known for axis in model.axes) else console.EXIT_FAILED
+    is_known = any(axis.is_known for axis in model.axes)
+    lack = None if is_known else tl.draw.FIGURES["rates"].find_lack(runs[:1])
+    if plot is not None and lack is not None:
+        console.print_note(f"identify: {plot} is not written: it needs {lack}")
+    else:
+        console.write_asked(plot, lambda path: tl.draw.write_robot_figure(model, runs[0], path))
+    if rrd is not None and not is_known:
+        console.print_note(f"identify: {rrd} is not written: no axis was identified")
+    else:
+        console.write_asked(rrd, lambda path: tl.draw.write_robot_rrd(model, runs[0], path))
+    return console.EXIT_FINE if is_known else console.EXIT_FAILED
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

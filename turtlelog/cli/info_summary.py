@@ -316,12 +316,6 @@ def _list_needs(info: "tl.log.RecordingInfo") -> tuple[str, ...]:
 
 
 def _summarise_run(run: "tl.Run", info: "tl.log.RecordingInfo") -> Summary:
-    shown = (name for name, kind in tl.log.NOTES.items() if kind.in_info and name in run.notes)
-    notes = {name: run.notes[name] for name in shown}
-    notes |= tl.measure.describe_breaks(run) if run.poses.speed_m_s is None else {}
-    notes |= tl.measure.describe_outliers(run) | tl.measure.describe_travel(run)
-    if sideways := tl.measure.describe_sideways(run):
-        notes["sideways"] = f"{sideways}; speeds are those ahead or back"
     read = ReadRun(
         kind=_describe_kind(run),
         duration_s=run.duration_s,
@@ -336,7 +330,7 @@ def _summarise_run(run: "tl.Run", info: "tl.log.RecordingInfo") -> Summary:
         missing=tuple(_list_missing(run, info)),
         was_clock_set=run.origin.was_clock_set,
         clock=run.clock,
-        notes=notes,
+        notes=tl.measure.describe_source(run),
     )
 
 

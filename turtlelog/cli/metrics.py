@@ -58,7 +58,7 @@ class MeasureOptions:
     final: Annotated[str | None, Parameter(metavar="VALUE")] = None
     reference_path: options.Place | None = None
     goal_tolerance: Annotated[float | None, Parameter(metavar="METRES")] = None
-    dead_time: Whole | None = None
+    dead_time: Annotated[Whole | None, Parameter(metavar="SAMPLES")] = None
 
     def build_settings(self) -> "tl.MeasureSettings":
         """Return the options as settings."""

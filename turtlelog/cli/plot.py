@@ -47,7 +47,7 @@ class PageOptions:
 
     kind: Annotated[Literal["column", "page", "slide"] | None, Parameter(name="--for")] = None
     text_width: Annotated[float | None, Parameter(metavar="WIDTH")] = None
-    dpi: int | None = None
+    dpi: Annotated[int | None, Parameter(metavar="DPI")] = None
     from_s: Annotated[float | None, Parameter(name="--from", metavar="SECONDS")] = None
     to_s: Annotated[float | None, Parameter(name="--to", metavar="SECONDS")] = None
     marks: Annotated[bool, Parameter(negative=())] = False
@@ -177,7 +177,7 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
     asked: AskedOptions = AskedOptions(),
     view: ViewOptions = ViewOptions(),
     movie: MovieOptions = MovieOptions(),
-    timeline: str = "sim_time",
+    timeline: Annotated[str, Parameter(metavar="NAME")] = "sim_time",
     topics: options.ReadingOptions = options.ReadingOptions(),
     jobs: Jobs = None,
     json: options.Json = False,

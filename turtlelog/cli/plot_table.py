@@ -431,7 +431,10 @@ def _tell_metric(view: "SweptView", one: MetricOfTable, borders: "Sequence[Borde
     if borders is not None:
         return f"{name}: {tl.sweep.tell_borders(borders)}{tail}"
     text = f"{name}: {format_number(one.least, unit)} to {format_number(one.most, unit)}"
-    return text + ("" if one.best is None else _tell_best(view, one.best)) + tail
+    best = "" if one.best is None else _tell_best(view, one.best)
+    if best and name.endswith(".overshoot") and one.best is not None and one.best.value < 0.0:
+        best += "; below 0, the reference is never reached"
+    return text + best + tail
 
 
 def _tell_best(view: "SweptView", best: "BestRow") -> str:

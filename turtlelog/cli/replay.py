@@ -58,8 +58,8 @@ class ReplayOptions:
     plant: bool = False
     details: bool = False
     law: Annotated[list[str] | None, Parameter(consume_multiple=(0, 2), metavar="[KIND]")] = None
-    scenario: str | None = None
-    tolerance: float | None = None
+    scenario: Annotated[str | None, Parameter(metavar="SCENARIO")] = None
+    tolerance: Annotated[float | None, Parameter(metavar="DIFFERENCE")] = None
     expect_equal: bool = False
     trust_law: bool = False
     step_budget_ms: options.StepBudgetMs = None

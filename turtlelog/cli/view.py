@@ -45,7 +45,7 @@ class PictureOptions:
 
     snapshot: options.Place | None = None
     at: Annotated[float | None, Parameter(metavar="SECONDS")] = None
-    timeline: str = "sim_time"
+    timeline: Annotated[str, Parameter(metavar="NAME")] = "sim_time"
     size: Annotated[str, Parameter(metavar="WIDTHxHEIGHT")] = _USUAL_SIZE
     no_scans: Annotated[bool, Parameter(negative=())] = False
 

@@ -119,7 +119,7 @@ def write_report(
             cause = f'<section id="cause"><p class="note">{text}</p></section>'
     told = "".join(f"<p>{sections.show(text)}</p>" for text in filter(None, sentences))
     body = f'<section id="conclusion">{told}</section>' if told else ""
-    body += _write_stage(plots, len(runs), origin) + cause
+    body += sections.write_notes(runs, names) + _write_stage(plots, len(runs), origin) + cause
     body += sections.write_checks(checks) if checks else ""
     body += _write_tables(runs, names, metrics)
     keyed = [(file_of[id(run)], hash_file(file_of[id(run)])) for run in runs]

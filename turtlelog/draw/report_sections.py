@@ -18,8 +18,10 @@ from turtlelog.display import describe_count, join_words
 from turtlelog.draw.report_drawing import MOST_VIOLATIONS
 from turtlelog.escapes import escape_controls
 from turtlelog.explain import Attribution, choose_leading, choose_named, write_sentences
-from turtlelog.measure import Metric
+from turtlelog.log.read_choice import label_note
+from turtlelog.measure import Metric, describe_source
 from turtlelog.run import CUT_SHORT, Run
+from turtlelog.run.stop_reasons import MAX_DURATION
 
 _MOST_DIFFERING: Final = 8  # keys in a table of differences; more keys would be wider than a page
 _LEAST_PERCENT: Final = 0.4  # smallest visible width of a bar [% of the width]
@@ -87,6 +89,17 @@ def write_attribution(name: str, found: Attribution) -> str:
         bars = f'<div class="steps">{"".join(parts)}</div>{notes}'
     head = f"<h2>What caused {show(found.metric)} of {show(name)}</h2>"
     return f'<section id="cause">{head}{bars}<ul>{sentences}</ul></section>'
+
+
+def write_notes(runs: Sequence[Run], names: Sequence[str]) -> str:
+    """Return the notes on the data of the runs, as `info` shows them; empty without notes."""
+    whose: dict[str, list[str]] = {}
+    for run, name in zip(runs, names, strict=True):
+        for note, text in describe_source(run).items():
+            whose.setdefault(f"{label_note(note)}: {text}", []).append(name)
+    lines = [f"{name_few(of)}: {text}" if len(runs) > 1 else text for text, of in whose.items()]
+    told = "".join(f'<p class="note">{show(line)}</p>' for line in lines)
+    return f'<section id="notes">{told}</section>' if told else ""
 
 
 def write_checks(lines: Sequence[CheckLine]) -> str:
@@ -196,9 +209,15 @@ def _list_scenario(run: Run) -> str:
     return _wrap_table("", ["key", "value"], rows) if rows else "<p>None is recorded.</p>"
 
 
+_MOST_SEEN: Final = 15
+"""Rows that fit into a table's box of 30 rem (report.css); more rows scroll in the box."""
+
+
 def _wrap_table(title: str, heads: Sequence[str], rows: Sequence[str]) -> str:
     """Return a table that scrolls on its own in a narrow window; the titles are HTML."""
-    caption = f"<caption>{show(title)}</caption>" if title else ""
+    count = f"{len(rows)} rows" if len(rows) > _MOST_SEEN else ""
+    told = ", ".join(filter(None, [show(title), count]))
+    caption = f"<caption>{told}</caption>" if told else ""
     head = "".join(f'<th scope="col">{text}</th>' for text in heads)
     label = f' aria-label="{show(title)}"' if title else ""
     return (
@@ -233,7 +252,10 @@ def conclude_runs(
     for group in group_equal(runs):
         if len(group) > 1:
             sentences.append(f"{name_few([names[n] for n in group])} are equal in every row.")
-    cut = [name for run, name in zip(runs, names, strict=True) if run.stop_reason in CUT_SHORT]
+    ended = [(run.stop_reason, name) for run, name in zip(runs, names, strict=True)]
+    if late := [name for reason, name in ended if reason == MAX_DURATION]:
+        sentences.append(f"{name_few(late)} reached the time limit.")
+    cut = [name for reason, name in ended if reason in CUT_SHORT - {MAX_DURATION}]
     if cut:
         whose = "its" if len(cut) == 1 else "their"
         sentences.append(f"{name_few(cut)} did not come to {whose} own end.")

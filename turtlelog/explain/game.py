@@ -38,6 +38,7 @@ from turtlelog.measure import find_metric_kind, measure_run
 from turtlelog.processes import count_cores, map_in_processes
 from turtlelog.run import Run
 from turtlelog.run.loops import Cause
+from turtlelog.run.tables import find_phase_spans
 from turtlelog.scenario import Scenario
 from turtlelog.simulate import simulate_many
 
@@ -307,7 +308,7 @@ def _measure(metric: str, run: Run, *, is_finer: bool) -> Outcome:
         # It is searched up to 40 poses, which a finer clock has in a few ticks.
         value, reason = None, "dead times are not measured on a finer clock"
     end_xy_m = (float(run.poses.xy_m[-1, 0]), float(run.poses.xy_m[-1, 1]))
-    spans = run.find_phase_spans()
+    spans = find_phase_spans(run, has_all=True)
     ended = dict.fromkeys(span.phase for span in (spans if run.is_complete else spans[:-1]))
     return Outcome(value=value, reason=reason, ended=tuple(ended), end_xy_m=end_xy_m)
 

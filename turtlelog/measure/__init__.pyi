@@ -38,6 +38,7 @@ from .pose_quality import (
     TravelDirection as TravelDirection,
     describe_breaks as describe_breaks,
     describe_sideways as describe_sideways,
+    describe_source as describe_source,
     describe_travel as describe_travel,
     find_travel_direction as find_travel_direction,
 )

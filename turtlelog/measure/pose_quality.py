@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.display import describe_count, format_short, join_words
+from turtlelog.log.read_choice import NOTES
 from turtlelog.measure.breaks import (
     ACCELERATION,
     ROUNDING,
@@ -26,6 +27,7 @@ from turtlelog.measure.pose_noise import (
 from turtlelog.measure.rates import (
     AXES,
     Axis,
+    describe_outliers,
     describe_repetition,
     read_held_commands,
     space_poses,
@@ -198,6 +200,17 @@ def describe_sideways(run: Run) -> str:
 
 _JUMPED: Final = 0.1
 """Share of a jump from which the distance driven meanwhile is mentioned."""
+
+
+def describe_source(run: Run) -> dict[str, str]:
+    """Return notes on the data of a run, by name: its clock and source, jumps, gaps, outliers."""
+    shown = (name for name, kind in NOTES.items() if kind.in_info and name in run.notes)
+    notes = {name: run.notes[name] for name in shown}
+    notes |= describe_breaks(run) if run.poses.speed_m_s is None else {}
+    notes |= describe_outliers(run) | describe_travel(run)
+    if sideways := describe_sideways(run):
+        notes["sideways"] = f"{sideways}; speeds are those ahead or back"
+    return notes
 
 
 def describe_breaks(run: Run) -> dict[str, str]:

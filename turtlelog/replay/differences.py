@@ -134,7 +134,7 @@ def find_earliest(differences: Iterable[Difference | None]) -> Difference | None
 def require_tolerance(tolerance: float) -> None:
     """Refuse an invalid tolerance."""
     if not 0.0 <= tolerance < float("inf"):
-        raise ReplayError(f"tolerance: expected a number >= 0, found {tolerance}")
+        raise ReplayError(f"tolerance: expected a finite number >= 0, found {tolerance}")
 
 
 def _read_row(pairing: Pairing, row: int) -> Difference:

@@ -30,6 +30,7 @@ from turtlelog.run.tables import (
     PhaseSpan,
     build_pandas,
     build_xarray,
+    describe_phase_lengths,
     find_phase_spans,
     iterate_arrow,
     locate_stretch,
@@ -324,10 +325,7 @@ class Run:
 
     def _repr_html_(self) -> str:
         goal = None if self.goal_xy_m is None else "({:g}, {:g}) m".format(*self.goal_xy_m)
-        spans = ", ".join(
-            f"{span.phase} {(span.end_ns - span.start_ns) / 1e9:.3g} s"
-            for span in self.find_phase_spans()
-        )
+        spans = ", ".join(describe_phase_lengths(self.find_phase_spans()))
         counts = [display.describe_count(len(getattr(self, name)), name[:-1]) for name in TABLES]
         rows = [
             ("source", self.source),
@@ -342,8 +340,9 @@ class Run:
         return display.format_notebook(self._describe_end(), picture, display.format_html(rows))
 
     def find_phase_spans(self) -> tuple[PhaseSpan, ...]:
-        """Return the phases in order; the time without samples after a phase is the phase `pause`.
+        """Return the phases in order; a longer time without samples after a phase is a `pause`.
 
+        It is longer than 1.5 sampling periods: after one period, the next phase simply begins.
         If a run ends while its controller is blocked, the last phase is this pause.
         """
         return find_phase_spans(self)

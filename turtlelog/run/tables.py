@@ -3,7 +3,7 @@
 import json
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from numbers import Real
 from typing import TYPE_CHECKING, Any, Final, NoReturn
@@ -283,23 +283,56 @@ class PhaseSpan:
     end_ns: int
 
 
-def find_phase_spans(run: "Run") -> tuple[PhaseSpan, ...]:
-    """Return the phases of a run in order, as `Run.find_phase_spans` describes them."""
+def describe_phase_lengths(spans: Sequence[PhaseSpan]) -> Iterator[str]:
+    """Yield the length of each phase with its pause, as metrics count it."""
+    for span, after in zip(spans, (*spans[1:], None), strict=True):
+        if span.phase == PAUSE:
+            continue
+        is_paused = after is not None and after.phase == PAUSE
+        last = after if after is not None and is_paused else span
+        text = f"{span.phase} {(last.end_ns - span.start_ns) / 1e9:.4g} s"
+        pause_s = (last.end_ns - span.end_ns) / 1e9
+        yield f"{text} with its pause of {pause_s:.3g} s" if is_paused else text
+
+
+_SILENT: Final = 1.5
+"""Shortest pause, in sampling periods: above one period and its jitter, below two periods."""
+
+
+def find_phase_spans(run: "Run", *, has_all: bool = False) -> tuple[PhaseSpan, ...]:
+    """Return the phases of a run in order, as `Run.find_phase_spans` describes them.
+
+    With `has_all`, every time between the samples of two phases is a pause, as in recordings.
+    """
     phase, time_ns, names = run.samples.phase, run.samples.time_ns, run.phase_names
     if not len(phase):
         return ()
     firsts = [0, *(np.flatnonzero(np.diff(phase)) + 1).tolist()]
     afters = [*firsts[1:], len(phase)]
     ends_ns = [*time_ns[firsts[1:]].tolist(), run.end_ns]
+    least_ns = _SILENT * _find_period(run) if len(firsts) > 1 and not has_all else 0.0
     spans = []
     for first, after, end_ns in zip(firsts, afters, ends_ns, strict=True):
         name, start_ns = names[phase[first]], int(time_ns[first])
-        if after < len(phase) or ends_blocked(run):
-            last_ns = int(time_ns[after - 1])
+        last_ns = int(time_ns[after - 1])
+        is_paused = end_ns - last_ns >= least_ns if after < len(phase) else ends_blocked(run)
+        if is_paused:
             spans.append(PhaseSpan(phase=name, start_ns=start_ns, end_ns=last_ns))
             name, start_ns = PAUSE, last_ns
         spans.append(PhaseSpan(phase=name, start_ns=start_ns, end_ns=end_ns))
     return tuple(spans)
+
+
+def _find_period(run: "Run") -> float:
+    """Return the median sampling period within phases [ns]; of poses if no phase has two samples.
+
+    The time between two phases is left out: it is the pause, if there is one.
+    """
+    samples = run.samples
+    apart_ns = np.diff(samples.time_ns)[np.diff(samples.phase) == 0]
+    if not len(apart_ns):
+        apart_ns = np.diff(run.poses.time_ns)
+    return float(np.median(apart_ns)) if len(apart_ns) else 0.0
 
 
 def ends_blocked(run: "Run") -> bool:

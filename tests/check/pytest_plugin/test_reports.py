@@ -20,6 +20,27 @@ def test_it(recording):
 """
 
 
+def test_a_recording_that_cannot_be_read_counts_as_a_failed_check(suite: pytest.Pytester) -> None:
+    cut = suite.path / "runs" / "cut.mcap"
+    cut.write_bytes((suite.path / "runs" / "kp4.mcap").read_bytes()[:20_000])
+    body = "def test_it(recording):\n    assert recording.holds('speed <= 1.0')\n"
+    found = run(suite, body)
+    found.assert_outcomes(passed=2, failed=1)
+    found.stdout.fnmatch_lines(["runs/cut.mcap: truncated*"])
+    found.stdout.fnmatch_lines(["turtlelog: 3 recordings, 3 checks (1 failed), worst margins: *"])
+
+
+def test_a_path_beside_the_tests_is_shown_without_detours(suite: pytest.Pytester) -> None:
+    (suite.mkdir("tests") / "conftest.py").write_text(NAMES)
+    body = "def test_it(recording):\n    assert recording.holds('speed <= 0.5')\n"
+    mark = 'pytestmark = pytest.mark.recordings("../runs/*.mcap")\n'
+    (suite.path / "tests" / "test_it.py").write_text(f"import pytest\n{mark}{body}")
+    plugin = ("-p", "turtlelog.check.pytest_plugin", "-p", "no:cacheprovider")
+    text = suite.runpytest_inprocess(*plugin, "tests").stdout.str()
+    assert "(runs/kp10.mcap)" in text
+    assert "tests/../runs" not in text
+
+
 def test_one_line_at_the_end_has_recordings_checks_and_worst_margins(
     suite: pytest.Pytester,
 ) -> None:

@@ -65,6 +65,31 @@ def test_an_axis_that_is_not_identified_is_drawn_with_the_reason(robot: tl.Run) 
     assert "not identified: " in figure.axes[0].get_title()
 
 
+def test_the_motion_is_drawn_beside_commands_that_no_model_explains(robot: tl.Run) -> None:
+    held = replace(robot.commands, speed_m_s=0.3 + 0.0 * robot.commands.speed_m_s)
+    short = replace(robot, commands=held)
+    figure = tl.draw.draw_figure("rates", [short])
+    motions = {line.get_label(): line for line in figure.axes[0].get_lines()}
+    motion = np.asarray(motions["motion, means of 0.1 s"].get_ydata())
+    driven_m = np.linalg.norm(np.diff(robot.poses.xy_m, axis=0), axis=1).sum()
+    assert np.abs(motion).mean() * robot.duration_s == pytest.approx(driven_m, rel=0.02)
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert {"command", "motion, means of 0.1 s"} <= {*labels}
+
+
+def test_no_line_breaks_between_a_number_and_its_unit(robot: tl.Run) -> None:
+    model = identify_robot([robot])
+    reason = "the interval of the total delay, 0 to 1.98 s, is wider than its value of 0.69 s"
+    refused = replace(model, speed=replace(model.speed, status="not_identifiable", reason=reason))
+    for letters in range(3):
+        figure = make_figure()
+        long = replace(refused, speed=replace(refused.speed, reason=letters * "x" + reason))
+        draw_rates(figure, [robot], model=long)
+        title = figure.axes[0].get_title()
+        assert "\n" in title
+        assert not re.search(r"\d\s*\ns", title)
+
+
 @pytest.mark.parametrize(
     ("times_s", "values", "expected"),
     [

@@ -168,10 +168,12 @@ def test_the_legend_stands_beside_the_plot_with_the_signs_of_its_marks(band_rrd:
         "● first violated -0.05008 m at 5.664 s",
         "▲ limit 0.05 m",
         "▼ limit -0.05 m",
-        "green: allowed",
+        "grey: allowed",
         "blue: cross_track",
         "red: outside",
     ]
+    (band,) = read_static(band_rrd, "/violated/band", "SeriesLines:colors")
+    assert len({band >> 24, band >> 16 & 255, band >> 8 & 255}) == 1  # as the legend says: grey
     shapes = {}
     for part in ("worst", "first", "limit_high", "limit_low"):
         entity = f"/violated/points/{part}"

@@ -103,7 +103,10 @@ def test_a_type_may_be_named_in_several_ways(name: str, tmp_path: Path) -> None:
         ("int32 a\nint32 a\n", "expected names that differ, found one twice"),
         ("wstring a\n", "wstring: ROS's middlewares do not agree on its bytes"),
         ("{}", "expected a type and a name, found '{}'"),
-        (f"int32 a\n{LINE}SRV: test/A\nint32 a\n", "no MSG: and type after"),
+        (
+            f"int32 a\n{LINE}SRV: test/A\nint32 a\n",
+            "after =====, expected MSG: and a type",
+        ),
         (f"A[9999] a\n{LINE}MSG: test/A\nint32 a\nint32 b\n", "expected up to 10000 fields"),
         (f"A[999999999] a\n{LINE}MSG: test/A\n", "expected up to 10000 fields"),
         ("uint8[99999999999] a\n", "expected a type and a name"),

@@ -133,7 +133,8 @@ class Session:
                 found = recording.explain_failures(results) if explains else results
                 lines += [*recording.describe(*found), ""]
             except TurtlelogError as err:
-                lines += [f"{recording.file}: {err}", ""]
+                reason = str(err).removeprefix(f"{recording.path}: ")
+                lines += [f"{recording.file}: {reason}", ""]
         folder = self._config.getoption("--turtlelog-artifacts")
         if folder:
             place = self._config.invocation_params.dir / folder
@@ -297,8 +298,14 @@ def choose_recordings(
         if not found:
             where = " or ".join(dict.fromkeys(map(str, folders)))
             _refuse(f"{place}: no files match {os.fspath(pattern)!r} in {where}")
-        paths |= dict.fromkeys(found)
+        paths |= dict.fromkeys(map(_shorten, found))
     return list(paths), dict(marker.kwargs)
+
+
+def _shorten(path: Path) -> Path:
+    """Return a path without `..`, if it is still the same file without them."""
+    short = Path(os.path.normpath(path))
+    return short if path.exists() and short.exists() and short.samefile(path) else path
 
 
 def _require_settings(settings: Mapping[str, Any], place: str) -> None:

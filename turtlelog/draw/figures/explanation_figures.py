@@ -91,6 +91,8 @@ def explain_for_figure(
             case = found.without_value[0]
             told = f"with {' and '.join(case.causes)} it has no value: {case.reason}"
         raise ShowError(f"figure attribution needs contributions to {chosen}: {told}")
+    if not (found.acting or found.without_all):
+        raise ShowError(f"figure attribution: {explain.write_headline(found)}")
     ghosts = explain.simulate_what_ifs(identified, found)
     name = next(reversed([*ghosts]), "")
     ghost = ghosts.get(name)

@@ -103,7 +103,7 @@ def add_legend(figure: Figure, without: Collection[str] = ()) -> None:
     named: dict[tuple[str, bool], Any] = {}
     for axes in figure.axes:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-            if label not in without:
+            if label not in without and _is_seen(axes, handle):
                 # A goal is a cross in the plane, and a line over time.
                 is_mark = isinstance(handle, Line2D) and handle.get_linestyle() == "None"
                 named.setdefault((label, is_mark), handle)
@@ -124,6 +124,46 @@ def add_legend(figure: Figure, without: Collection[str] = ()) -> None:
     for label, entry in zip(labels, legend.legend_handles, strict=True):
         if label in _OF_ALL_RUNS and entry is not None:
             entry.set(color="0.35")
+
+
+def _is_seen(axes: Axes, handle: Any) -> bool:
+    """Return whether an entry is seen: for lines, whether any of that style is, uncovered."""
+    if not isinstance(handle, Line2D) or not np.size(handle.get_ydata()):
+        return True
+    looks = _describe_looks("", handle)
+    lines = [line for line in axes.get_lines() if _describe_looks("", line) == looks]
+    return any(_is_within(axes, line) and not _is_covered(axes, line) for line in lines)
+
+
+def _is_within(axes: Axes, line: Line2D) -> bool:
+    """Return whether a line has a value within the limits of its axes."""
+    if not line.get_transform().contains_branch_seperately(axes.transData)[1]:
+        return True  # its height is a share of the axes
+    values = np.asarray(line.get_ydata(), dtype=float)
+    low, high = sorted(axes.get_ylim())
+    return bool(((values >= low) & (values <= high)).any())
+
+
+def _is_covered(axes: Axes, line: Line2D) -> bool:
+    """Return whether a constant curve of the same value, solid and as wide, is above a curve."""
+    value = _find_constant(line)
+    lines = sorted(axes.get_lines(), key=Line2D.get_zorder)  # as drawn
+    return value is not None and any(
+        _find_constant(other) == value
+        and other.get_linestyle() == "-"
+        and other.get_linewidth() >= line.get_linewidth()
+        for other in lines[lines.index(line) + 1 :]
+    )
+
+
+def _find_constant(line: Line2D) -> float | None:
+    """Return the value of a curve that never changes; None for others, and for level lines."""
+    values = np.asarray(line.get_ydata(), dtype=float)
+    is_level = len(values) <= _LEVEL_POINTS
+    return None if is_level or np.ptp(values) != 0.0 else float(values[0])
+
+
+_LEVEL_POINTS: Final = 2  # points of a line across the axes
 
 
 def name_some(axes: Axes, labels: Sequence[str]) -> list[str | None]:

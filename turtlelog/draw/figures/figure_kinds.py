@@ -328,7 +328,9 @@ _NAMED: Final[Mapping[str, FigureKind]] = {
         **_METRICS,
     ),
     "rates": _ask(
-        "Commands against measured rates, with the identified model", draw_rates, NEEDS["commands"]
+        "Commands against measured rates, with the model if one is identified",
+        draw_rates,
+        NEEDS["commands"],
     ),
     "violation": _ask(
         "The signal that a check holds to a band, and where it leaves it",

@@ -1,6 +1,7 @@
 """Figures of a robot: its response to commands, its model beside it, and its trajectory errors."""
 
 import math
+import re
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -32,7 +33,7 @@ from turtlelog.draw.figures.figure_curves import (
 from turtlelog.draw.figures.page import MEASURED, MODELLED, REFERENCE, Page, fix_style, use_looks
 from turtlelog.draw.figures.time_panels import shade_gaps
 from turtlelog.errors import ShowError
-from turtlelog.identify.axis_motion import measure_axis_steps
+from turtlelog.identify.axis_motion import join_rates, measure_axis_steps, read_axis_motion
 from turtlelog.run import Run
 from turtlelog.run.angles import Trajectory
 from turtlelog.run.loops import COMMAND_UNITS, COMMAND_WORDS
@@ -52,6 +53,9 @@ _SHOWN_MS: Final = 2.0
 """Smallest width of an interval that is drawn [ms]; a narrower interval is a single stroke."""
 
 _REASON_LETTERS: Final = 58
+
+_UNIT_SPACE: Final = re.compile(r"(?<=\d) (?=[^\W\d])")
+"""Space between a number and its unit, where no line breaks."""
 
 _COMMAND: Final = fix_style(color="0.3", linewidth=0.9)
 _EACH: Final = fix_style(color="0.6", linewidth=0.7, zorder=2.0, label="motion after each change")
@@ -73,6 +77,7 @@ class DrawnAxis:
     brackets: str  # meaning of the values in brackets
     command: Curve  # held command
     measured: tuple[Values, Values] | None  # measured rate of the robot; None if unknown
+    has_means: bool  # whether the measured rates are means of steps between poses
     traces: identify.AxisTraces | None  # measured rate and model, if a model is known
     outliers_s: Values  # end times of steps that the fit left out [s], shape (m,)
 
@@ -129,18 +134,29 @@ def _read_axis(axis: identify.AxisModel, model: identify.RobotModel, run: Run) -
         return None
     traces = identify.trace_axis(axis, run) if axis.is_known else None
     measured = None if traces is None else (traces.time_s - run.start_ns / 1e9, traces.measured)
+    has_means = traces is not None
     if traces is None:
         reported = read_measured(run, axis.axis)
         curve = read_applied(run, axis.axis) if reported is None else reported[0]
         measured = None if curve is None else (curve.time_s, curve.values)
+        has_means = measured is None and len(run.poses) > 1
+        measured = _measure_means(run, axis.axis) if has_means else measured
     return DrawnAxis(
         model=axis,
         brackets=model.brackets,
         command=command,
         measured=measured,
+        has_means=has_means,
         traces=traces,
         outliers_s=np.array([one.time_s for one in model.events if one.axis == axis.axis]),
     )
+
+
+def _measure_means(run: Run, axis: Command) -> tuple[Values, Values]:
+    """Return times [s] and mean rates of the robot, from its poses, for an axis without a model."""
+    time_s, moved, _ = measure_axis_steps(run.poses, axis)
+    found = join_rates(axis, read_axis_motion(run, axis), time_s, moved, np.zeros_like(moved))
+    return found.time_s - run.start_ns / 1e9, found.measured
 
 
 def _draw_whole(axes: Axes, one: DrawnAxis, run: Run) -> None:
@@ -151,10 +167,12 @@ def _draw_whole(axes: Axes, one: DrawnAxis, run: Run) -> None:
         command = replace(command, time_ns=np.append(command.time_ns, end_ns), values=values)
     draw_curve(axes, command, **_COMMAND, label="command")
     # Means extend over their steps: lines between their middles would begin before a command.
-    looks: dict[str, Any] = {} if one.traces is None else {"drawstyle": "steps-mid"}
-    told = "" if one.traces is None else f", means of {np.median(np.diff(one.traces.time_s)):.2g} s"
+    looks: dict[str, Any] = {"drawstyle": "steps-mid"} if one.has_means else {}
+    told = ""
     if one.measured is not None:
         time_s, values = one.measured
+        if one.has_means and len(time_s) > 1:
+            told = f", means of {np.median(np.diff(time_s)):.2g} s"
         draw_thinned(axes, time_s, values, values, **pages.MEASURED, **looks, label=f"motion{told}")
     if one.traces is not None:
         time_s, values = one.traces.time_s - run.start_ns / 1e9, one.traces.modelled
@@ -164,7 +182,7 @@ def _draw_whole(axes: Axes, one: DrawnAxis, run: Run) -> None:
     if one.traces is not None:
         axes.set_title(f"{label_runs([run])[0]}: {COMMAND_WORDS[one.model.axis]}")
     else:
-        reason = f"not identified: {one.model.reason}"
+        reason = _UNIT_SPACE.sub("\N{NO-BREAK SPACE}", f"not identified: {one.model.reason}")
         told = "\n".join(textwrap.wrap(reason, _REASON_LETTERS, max_lines=3, placeholder=" ..."))
         axes.set_title(told, fontsize=7.0, color="0.35")
 
@@ -236,7 +254,7 @@ def _draw_step(axes: Axes, one: DrawnAxis, run: Run) -> None:
 
 def _read_fine(one: DrawnAxis, run: Run) -> tuple[Values, Values, Values | float]:
     """Return the middle of each step between two poses [s], its mean rate and half its length."""
-    if one.traces is None:
+    if not one.has_means:
         return *(one.measured or (np.empty(0), np.empty(0))), 0.0
     time_s, moved, _ = measure_axis_steps(run.poses, one.model.axis)
     apart_s = np.diff(time_s)
@@ -271,13 +289,11 @@ def write_robot_figure(
 ) -> Path:
     """Write the figure `rates` of a run with a model by `identify_robot`, and return its path.
 
-    The run may be an identified run or another run. The file name ends in .pdf, .png or .svg.
-    ShowError if no axis is known, or the file cannot be written.
+    The run may be an identified run or another run. The file name ends in .pdf, .png or .svg. An
+    axis without a model is drawn with the reason. ShowError if the run has no commands, or the file
+    cannot be written.
     """
     path = pages.require_figure_path(path)
-    if not any(axis.is_known for axis in model.axes):
-        reasons = "; ".join(axis.reason for axis in model.axes)
-        raise ShowError(f"{path}: no axis was identified: {reasons}")
     page = page or Page(kind="page")
     with use_looks():
         figure = Figure(figsize=(page.width_inch, page.width_inch), layout="constrained")

@@ -58,7 +58,7 @@ MapKind = Literal["map", "curves", "tornado"]
 """Content of a sweep figure."""
 
 _METHODS: Final = (
-    "bars: range along each key, from the first to the second value below; line: all keys held at",
+    "bars: range along each key, between the two values beside it; line: all keys held at",
     "Spearman's rank correlation; grey: 95 % of independent keys",
 )
 """Descriptions of the sensitivities, in a grid and in a sample."""

@@ -13,7 +13,7 @@ from matplotlib.ticker import SymmetricalLogLocator
 
 from turtlelog.charts import many_runs, palette, plotted_curves
 from turtlelog.charts.curve_marks import ViolatedSignal, ViolationMoment
-from turtlelog.charts.curves import BEARING_NOW, find_disturbed_time, lack_samples
+from turtlelog.charts.curves import BEARING_NOW, Level, find_disturbed_time, lack_samples
 from turtlelog.charts.plane_scene import find_origin, label_coordinate, list_seen_gaps, move_near
 from turtlelog.charts.plotted_curves import POINTS, PlottedCurve, Scale, TimePlot, list_plotted
 from turtlelog.charts.time_plots import find_plot
@@ -208,11 +208,24 @@ def _fit(axes: Axes, runs: Sequence[Run], plot: TimePlot, scale: Scale, *, is_fo
         known = np.concatenate([*(values[np.isfinite(values)] for values in sizes), np.empty(0)])
         if len(known):
             axes.set_ylim(0.6 * known.min(), 1.8 * known.max())
+        elif runs:
+            _tell_zero(axes, runs, plotted_curves.list_plot_levels(runs, plot, scale))
     elif scale != "symlog" and (is_forced or plot.command is not None):
         levels = plotted_curves.list_plot_levels(runs, plot)
         found = plotted_curves.find_plot_range([curve.values for curve in curves], levels)
         if found is not None:
             axes.set_ylim(found)
+
+
+def _tell_zero(axes: Axes, runs: Sequence[Run], levels: Sequence[Level]) -> None:
+    """Write that all values are 0, which a logarithmic axis does not show, beside its levels."""
+    sizes = [level.value for level in levels if level.value > 0.0] or [1.0]
+    length_s = max(float(run.duration_s) for run in runs)
+    axes.update_datalim([(0.0, 1.0), (length_s, 1.0)], updatey=False)  # it has no curve
+    axes.set_autoscaley_on(False)
+    axes.set_ylim(0.1 * min(sizes), 2.0 * max(sizes))
+    text = axes.text(0.5, 0.4, "always 0", fontsize=WORDS_POINTS, color="0.3")
+    text.set(transform=axes.transAxes, ha="center", va="center")
 
 
 def _shade(axes: Axes, run: Run, plot: TimePlot) -> None:

@@ -321,7 +321,7 @@ def _write_legend(violated: ViolatedSignal) -> str:
         f"◆ {worst}, {outside} outside" if outside else f"◆ {worst}",
         f"● {violated.describe_moment(violated.first, 'first violated')}",
         *(f"{sign} {limits[side]}" for side, sign in _SIGNS.items() if side in limits),
-        "green: allowed",
+        "grey: allowed",
         f"blue: {violated.name}",
         f"red: {_NAMES_OUTSIDE[word]}",
     ]

@@ -198,7 +198,9 @@ def _parse_schema(name: str, text: str) -> tuple[tuple[Field, ...], int]:
     for part in others:
         heading = _HEADING.match(part)
         if heading is None:
-            raise LogError(f"schema {name}: no MSG: and type after =====")
+            raise LogError(
+                f"schema {name}: after =====, expected MSG: and a type, as in MSG: std_msgs/Header"
+            )
         definitions[shorten_type(heading[1])] = part[heading.end() :]
     # The first definition may have a heading of its own.
     own = _HEADING.match(first)

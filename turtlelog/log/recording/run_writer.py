@@ -26,6 +26,7 @@ from turtlelog.log.recording.head import (
 )
 from turtlelog.run import Event, PoseColumns, Run, SampleColumns, require_run
 from turtlelog.run.loops import DONE, PAUSE
+from turtlelog.run.tables import find_phase_spans
 from turtlelog.scenario import DEFAULT_LAW
 
 Values = dict[str, Any]
@@ -313,7 +314,7 @@ def _build_commands(run: Run) -> TopicColumns:
 
 
 def _build_phases(run: Run) -> TopicColumns:
-    spans = run.find_phase_spans()
+    spans = find_phase_spans(run, has_all=True)
     changes: list[tuple[int, Values]] = [(span.start_ns, {"data": span.phase}) for span in spans]
     is_held = len(run.commands) < len(run.samples)
     if spans and is_held and spans[-1].phase != PAUSE:

@@ -68,7 +68,7 @@ _UNDECIDED: Final = (
 """Reasons of the verdicts of `judge_swings` that leave the stability open."""
 
 
-@curve_metric("duration", "s", "Length of the segment in which the loop acts.", is_awaited=True)
+@curve_metric("duration", "s", "Length of the loop's segment, with its pause.", is_awaited=True)
 def _find_duration(curve: Response) -> Outcome:
     return curve.time_s[-1], math.nan, FOUND
 
