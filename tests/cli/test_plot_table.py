@@ -52,6 +52,16 @@ def test_map_says_the_best_rows_and_the_border_beside_theory(
     assert max(map(len, done.out.splitlines())) <= 80
 
 
+@pytest.mark.parametrize(("least", "is_told"), [(-0.1, True), (0.0, False)])
+def test_a_best_overshoot_below_0_is_no_arrival(
+    call: Call, tmp_path: Path, least: float, *, is_told: bool
+) -> None:
+    path = tmp_path / "t.parquet"
+    values = {"translate.overshoot": lambda delay, kp: least + delay * kp}
+    write_table(path, GRID, values, units={"translate.overshoot": "%"})
+    assert ("below 0, the reference is never reached" in call("plot", path).flat) is is_told
+
+
 def test_json_has_what_is_drawn(call: Call, table: Path) -> None:
     told = call("plot", table.name, "--json").json
     assert (told["rows"], told["shown"], told["output"]) == (60, 60, None)
