@@ -187,8 +187,8 @@ class GainTrial:
     """A simulated run with recommended gains by key, beside the run with the present gains.
 
     Attributes:
-        is_better: Whether the run ends nearer to a missed goal, settles earlier without ending
-            later, or settles at the same time and ends earlier, no farther from the goal.
+        is_better: Whether the run ends nearer to a missed goal, or settles or ends earlier, and no
+            later in the other.
         seed: Seed of both runs; None if nothing is random.
     """
 
