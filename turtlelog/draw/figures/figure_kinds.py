@@ -12,7 +12,7 @@ from turtlelog.charts import curves, plane_scene
 from turtlelog.charts.plotted_curves import Scale, group_states
 from turtlelog.charts.time_plots import TIME_PLOTS
 from turtlelog.display import NamedValues, fit_line
-from turtlelog.draw.figures import theory_figures, time_panels
+from turtlelog.draw.figures import plane_panels, theory_figures, time_panels
 from turtlelog.draw.figures.explanation_figures import (
     draw_attribution,
     draw_luck,
@@ -38,7 +38,7 @@ _ROW_HEIGHT: Final = 0.25  # height of a row of two panels, as a share of their 
 
 DrawFigure = Callable[[Figure, Sequence[Run]], None]
 
-Arrange = Callable[[Figure, Sequence[Run], Sequence[time_panels.Draw]], None]
+Arrange = Callable[[Figure, Sequence[Run], Sequence[plane_panels.Draw]], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,7 +50,7 @@ class Panel:
 
     name: str  # content, in a word or two
     needs: Need  # data that a run must contain
-    draw: time_panels.Draw  # function that draws the panel for several runs
+    draw: plane_panels.Draw  # function that draws the panel for several runs
     plot: str = ""  # name of the plot over time that the panel shows; empty for another panel
     loop: str = ""  # signal that a loop of the run must control; empty: any
     is_usual: bool = True  # whether the panel is reported as missing if no run has data for it
@@ -86,7 +86,7 @@ class FigureKind:
     content: Literal["", "metric", "metrics", "formula"] = ""  # what a user may name for it
     prepare: Callable[..., Mapping[str, Any]] | None = None  # keywords of `draw`, from the runs,
     # `metric` and `work`, which may take seconds
-    arrange: Arrange = time_panels.draw_stack  # function that places the panels
+    arrange: Arrange = plane_panels.draw_stack  # function that places the panels
 
     def find_lack(self, runs: Sequence[Run]) -> str | None:
         """Return the data that the figure lacks; None if it can be drawn. Theory needs no runs."""
@@ -113,11 +113,11 @@ class FigureKind:
         """Return height divided by width: smaller for fewer panels, larger with a plane."""
         if self.draw is draw_plane and has_one_plane(runs):
             return 1.0
-        if self.arrange is time_panels.draw_overview:
+        if self.arrange is plane_panels.draw_overview:
             panels = self.choose_panels(runs)
             if curves.lack_samples(runs):
                 return 0.31 + 0.08 * len(panels)
-            return _ROW_HEIGHT * (len(panels) + time_panels.count_plane_rows(panels)) / 2.0
+            return _ROW_HEIGHT * (len(panels) + plane_panels.count_plane_rows(panels)) / 2.0
         kept, usual = len(self.choose_panels(runs)), sum(panel.is_usual for panel in self.panels)
         return self.height * (1.0 + kept) / (1.0 + usual)
 
@@ -351,7 +351,7 @@ _NAMED: Final[Mapping[str, FigureKind]] = {
             *map(_panel, ("cross_track", "turn_rate", "speed")),
         ),
         list_more=lambda runs: list_state_panels(runs, of_commands=True) if len(runs) == 1 else (),
-        arrange=time_panels.draw_overview,
+        arrange=plane_panels.draw_overview,
         is_wide=lambda _: True,
     ),
 }

@@ -3,6 +3,8 @@
 import io
 import math
 import os
+import re
+import textwrap
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -235,6 +237,16 @@ def break_label(label: str) -> str:
     words = label.split(" ")
     pairs = [(" ".join(words[:count]), " ".join(words[count:])) for count in range(1, len(words))]
     return "\n".join(min(pairs, key=lambda pair: max(map(len, pair)), default=(label,)))
+
+
+_UNIT_SPACE: Final = re.compile(r"(?<=\d) (?=[^\W\d])")
+"""Space between a number and its unit, where no line breaks."""
+
+
+def break_words(text: str, letters: int) -> str:
+    """Return text on at most three lines of some letters; a number stays beside its unit."""
+    whole = _UNIT_SPACE.sub("\N{NO-BREAK SPACE}", text)
+    return "\n".join(textwrap.wrap(whole, letters, max_lines=3, placeholder=" ..."))
 
 
 _UNUSED_TABLES: Final = ("GSUB", "GPOS", "GDEF", "MATH", "kern", "cmap", "post", "name", "OS/2")

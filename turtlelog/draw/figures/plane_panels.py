@@ -1,6 +1,7 @@
-"""The plane: paths from start to goal or along a reference, with ends or deviations of runs."""
+"""The plane: paths with ends or deviations of runs, and the arrangement of panels around it."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
@@ -265,3 +266,52 @@ def _draw_ways_to_reference(axes: Axes, runs: Sequence[Run]) -> None:
     starts_m, gaps = run.poses.xy_m[rows], np.full((len(rows), 2), np.nan)
     lines = np.stack([starts_m, starts_m + ways_m[rows], gaps], axis=1).reshape(-1, 2)
     axes.plot(*lines.T, **_WAY, label=f"to the reference, every {step_s:g} s")
+
+
+Draw = Callable[[Axes, Sequence[Run]], None]
+"""A function that draws one panel for some runs."""
+
+
+def draw_stack(figure: Figure, runs: Sequence[Run], panels: Sequence[Draw]) -> None:
+    """Draw panels one above the other on one time axis."""
+    grid = figure.subplots(len(panels), 1, sharex=True, squeeze=False)
+    for axes, panel in zip(grid[:, 0], panels, strict=True):
+        panel(axes, runs)
+    for axes, _ in pairwise(grid[:, 0]):
+        axes.set_xlabel("")
+
+
+def draw_overview(figure: Figure, runs: Sequence[Run], panels: Sequence[Draw]) -> None:
+    """Draw the paths, with panels on one time axis in two columns around them.
+
+    The plane is at the top of the left column. For runs without samples it takes the whole column;
+    for runs without poses there is no plane.
+    """
+    if not any(len(run.poses) for run in runs):
+        draw_stack(figure, runs, panels)
+        return
+    if lack_samples(runs):
+        grid = figure.add_gridspec(len(panels), 2, width_ratios=(1.0, 1.25))
+        rows = len(panels)
+    else:
+        rows = count_plane_rows(panels)
+        grid = figure.add_gridspec((len(panels) + rows) // 2, 2)
+    plane = figure.add_subplot(grid[:rows, 0])
+    draw_paths(plane, runs)
+    show_all(plane, runs)
+    places = [(row, column) for row in range(grid.nrows) for column in range(row < rows, 2)]
+    shared: Axes | None = None
+    for panel, (row, column) in zip(panels, places, strict=True):
+        shared = axes = figure.add_subplot(grid[row, column], sharex=shared)
+        panel(axes, runs)
+        if rows == grid.nrows:
+            # Low panels have no room for a unit beside its name.
+            axes.set_ylabel(page.break_label(axes.get_ylabel()))
+        if row + 1 < grid.nrows:
+            axes.set_xlabel("")
+            axes.tick_params(labelbottom=False)
+
+
+def count_plane_rows(panels: Sequence[object]) -> int:
+    """Return the rows that a plane takes of two columns, so that no place is empty."""
+    return 1 + (len(panels) + 1) % 2

@@ -1,8 +1,6 @@
 """Figures of a robot: its response to commands, its model beside it, and its trajectory errors."""
 
 import math
-import re
-import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -53,9 +51,6 @@ _SHOWN_MS: Final = 2.0
 """Smallest width of an interval that is drawn [ms]; a narrower interval is a single stroke."""
 
 _REASON_LETTERS: Final = 58
-
-_UNIT_SPACE: Final = re.compile(r"(?<=\d) (?=[^\W\d])")
-"""Space between a number and its unit, where no line breaks."""
 
 _COMMAND: Final = fix_style(color="0.3", linewidth=0.9)
 _EACH: Final = fix_style(color="0.6", linewidth=0.7, zorder=2.0, label="motion after each change")
@@ -182,8 +177,7 @@ def _draw_whole(axes: Axes, one: DrawnAxis, run: Run) -> None:
     if one.traces is not None:
         axes.set_title(f"{label_runs([run])[0]}: {COMMAND_WORDS[one.model.axis]}")
     else:
-        reason = _UNIT_SPACE.sub("\N{NO-BREAK SPACE}", f"not identified: {one.model.reason}")
-        told = "\n".join(textwrap.wrap(reason, _REASON_LETTERS, max_lines=3, placeholder=" ..."))
+        told = pages.break_words(f"not identified: {one.model.reason}", _REASON_LETTERS)
         axes.set_title(told, fontsize=7.0, color="0.35")
 
 

@@ -2,8 +2,7 @@
 
 import re
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
-from itertools import pairwise
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -13,7 +12,7 @@ from matplotlib.ticker import SymmetricalLogLocator
 
 from turtlelog.charts import many_runs, palette, plotted_curves
 from turtlelog.charts.curve_marks import ViolatedSignal, ViolationMoment
-from turtlelog.charts.curves import BEARING_NOW, Level, find_disturbed_time, lack_samples
+from turtlelog.charts.curves import BEARING_NOW, Level, find_disturbed_time
 from turtlelog.charts.plane_scene import find_origin, label_coordinate, list_seen_gaps, move_near
 from turtlelog.charts.plotted_curves import POINTS, PlottedCurve, Scale, TimePlot, list_plotted
 from turtlelog.charts.time_plots import find_plot
@@ -22,7 +21,6 @@ from turtlelog.draw.figures import figure_curves, page
 from turtlelog.draw.figures.figure_curves import choose_lines, draw_curve, draw_level, label_runs
 from turtlelog.draw.figures.page import REFERENCE, STROKES, fix_style, to_rgb
 from turtlelog.draw.figures.placed_words import WORDS_POINTS, WordSpace, place_words
-from turtlelog.draw.figures.plane_panels import draw_paths, show_all
 from turtlelog.errors import ShowError
 from turtlelog.run import Run
 
@@ -259,55 +257,6 @@ def _name_outliers(axes: Axes, runs: Sequence[Run], plot: TimePlot) -> None:
         axes.set_ylim(low - _OUTLIER_ROOM * len(lines) * (high - low), high)
         text = axes.text(0.99, 0.03, "\n".join(lines), fontsize=WORDS_POINTS, color="0.3")
         text.set(transform=axes.transAxes, ha="right", va="bottom")
-
-
-Draw = Callable[[Axes, Sequence[Run]], None]
-"""A function that draws one panel for some runs."""
-
-
-def draw_stack(figure: Figure, runs: Sequence[Run], panels: Sequence[Draw]) -> None:
-    """Draw panels one above the other on one time axis."""
-    grid = figure.subplots(len(panels), 1, sharex=True, squeeze=False)
-    for axes, panel in zip(grid[:, 0], panels, strict=True):
-        panel(axes, runs)
-    for axes, _ in pairwise(grid[:, 0]):
-        axes.set_xlabel("")
-
-
-def draw_overview(figure: Figure, runs: Sequence[Run], panels: Sequence[Draw]) -> None:
-    """Draw the paths, with panels on one time axis in two columns around them.
-
-    The plane is at the top of the left column. For runs without samples it takes the whole column;
-    for runs without poses there is no plane.
-    """
-    if not any(len(run.poses) for run in runs):
-        draw_stack(figure, runs, panels)
-        return
-    if lack_samples(runs):
-        grid = figure.add_gridspec(len(panels), 2, width_ratios=(1.0, 1.25))
-        rows = len(panels)
-    else:
-        rows = count_plane_rows(panels)
-        grid = figure.add_gridspec((len(panels) + rows) // 2, 2)
-    plane = figure.add_subplot(grid[:rows, 0])
-    draw_paths(plane, runs)
-    show_all(plane, runs)
-    places = [(row, column) for row in range(grid.nrows) for column in range(row < rows, 2)]
-    shared: Axes | None = None
-    for panel, (row, column) in zip(panels, places, strict=True):
-        shared = axes = figure.add_subplot(grid[row, column], sharex=shared)
-        panel(axes, runs)
-        if rows == grid.nrows:
-            # Low panels have no room for a unit beside its name.
-            axes.set_ylabel(page.break_label(axes.get_ylabel()))
-        if row + 1 < grid.nrows:
-            axes.set_xlabel("")
-            axes.tick_params(labelbottom=False)
-
-
-def count_plane_rows(panels: Sequence[object]) -> int:
-    """Return the rows that a plane takes of two columns, so that no place is empty."""
-    return 1 + (len(panels) + 1) % 2
 
 
 def _finish(axes: Axes, runs: Sequence[Run], label: str) -> None:
