@@ -34,7 +34,7 @@ from turtlelog.log.recording.topics import (
     SENSED,
     SHAPED,
 )
-from turtlelog.log.ros2 import bag_inputs
+from turtlelog.log.ros2 import bag_commands
 from turtlelog.log.ros2.bag_poses import (
     PoseSource,
     RobotTrack,
@@ -105,7 +105,7 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
             run, topic = _read_commands_alone(bag, distinct, choice, err)
             named = describe_robots(robots, topic, choice.robot)
             return _note_rest(run, bag, distinct, choice, named)
-        commands, lack = bag_inputs.find_commands(bag, distinct, choice, pose_topic=source.home)
+        commands, lack = bag_commands.find_commands(bag, distinct, choice, pose_topic=source.home)
         names = {commands.topic.topic} if commands else set()
         if source.topic.topic == POSE.name:
             names |= {topic.topic for topic in distinct if (topic.topic, topic.type) == _SENSED}
@@ -119,9 +119,9 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
         run = note_steps(run, bag.steps)
         run = replace(run, notes={**run.notes, "commands": lack}) if lack else run
         if commands is not None and choice.command_topic is None:
-            doubt = bag_inputs.describe_other_robot(source.home, commands.topic.topic)
+            doubt = bag_commands.describe_other_robot(source.home, commands.topic.topic)
             run = replace(run, notes={**run.notes, "other_robot": doubt}) if doubt else run
-        run = bag_inputs.add_references(run, bag, source, track, choice)
+        run = bag_commands.add_references(run, bag, source, track, choice)
         if source.topic.topic == POSE.name:
             run = _add_samples(run, bag, int(track.time_ns[0] - run.poses.time_ns[0]))
     # In transforms, the name of a robot may occur in the frames alone.
@@ -191,7 +191,7 @@ def _build_run(
     poses, dropped, unturned, vertical = order_poses(found, source.topic)
     commands, lost = None, 0
     if command_pick is not None:
-        commands, lost = bag_inputs.order_commands(found, command_pick.topic, choice)
+        commands, lost = bag_commands.order_commands(found, command_pick.topic, choice)
     track = RobotTrack(
         time_ns=poses.time_ns,
         received_ns=poses.time_ns,
@@ -251,7 +251,7 @@ def _build_run(
         **match_sensed(found, track.time_ns, moved),
         **lift_poses(columns.get("z"), columns.get("tilt")),
     )
-    command_columns = bag_inputs.build_bag_commands(commands, start_ns)
+    command_columns = bag_commands.build_bag_commands(commands, start_ns)
     return _join_run(path, pose_columns, command_columns, times.clock, origin, notes), track
 
 
@@ -309,7 +309,7 @@ def _read_commands_alone(
     bag: Bag, topics: Sequence[TopicInfo], choice: ReadChoice, err: NoPosesError
 ) -> tuple[Run, str]:
     """Return the run of a bag that contains commands but no poses, and the topic's name."""
-    pick, lack = bag_inputs.choose_commands(topics, choice, pose_topic="")
+    pick, lack = bag_commands.choose_commands(topics, choice, pose_topic="")
     if pick is None:
         raise NoPosesError(f"no poses; {lack}") if lack else err
     if not choice.allow_no_poses:
@@ -324,7 +324,7 @@ def _read_commands_alone(
             raise LogError(f"{name}: expected poses, found commands alone on {pick.topic.topic}")
     found: Held = [dict(of_file) for of_file in bag.read({pick.topic.topic})]
     bag = bag.find_steps(found, pick.topic.topic)
-    rows, dropped = bag_inputs.order_commands(bag.undo_steps(found), pick.topic, choice)
+    rows, dropped = bag_commands.order_commands(bag.undo_steps(found), pick.topic, choice)
     if rows is None:
         raise LogError(
             f"topic {pick.topic.topic}: expected numbers, found nan or infinity in all"
@@ -342,7 +342,7 @@ def _read_commands_alone(
         **describe_other_poses(topics),
         **note_pick("command_topic", pick),
     }
-    commands = bag_inputs.build_bag_commands(rows, start_ns)
+    commands = bag_commands.build_bag_commands(rows, start_ns)
     run = _join_run(bag.path, poses, commands, times.clock, origin, notes)
     return note_steps(run, bag.steps), pick.topic.topic
 

@@ -1,4 +1,4 @@
-"""The inputs of a robot in a bag: its commands, its goal and the path to follow."""
+"""The commands of a robot in a bag, its goal and the path to follow."""
 
 import math
 import re
