@@ -13,17 +13,18 @@ from numpy.typing import NDArray
 from turtlelog.display import format_seconds, format_utc, join_words
 from turtlelog.errors import LogError
 from turtlelog.files.urls import make_path
-from turtlelog.log import planar_poses, table_columns
+from turtlelog.log import planar_poses, table_columns, units
 from turtlelog.log.file_access import name_file
 from turtlelog.log.planar_poses import Values
 from turtlelog.log.read_choice import CHOSEN, RESTARTS, UNREAD_COMMANDS
 from turtlelog.log.ros2.bag_rows import LARGEST
 from turtlelog.log.ros2.computed_poses import take_asked_courses
-from turtlelog.log.ros2.reported_motion import describe_speed, describe_turning, describe_units
+from turtlelog.log.ros2.reported_motion import describe_speed, describe_turning
 from turtlelog.log.ros2.set_clocks import DAY_NS, count_midnights, describe_restart, find_runs
 from turtlelog.log.ros2.stamps import note_crowded
-from turtlelog.log.table_columns import EPOCHS, QUANTITIES, Choice, offer_robots, show_column
+from turtlelog.log.table_columns import Choice, offer_robots, show_column
 from turtlelog.log.table_files import KITTI_COLUMNS, PlainTable, read_plain_table
+from turtlelog.log.units import EPOCHS, QUANTITIES, describe_units
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns, SourceKind
 
 _NEVER: Final = (
@@ -214,7 +215,7 @@ def _list_contradictions(
     is_assumed = bool(cells.find_assumed("heading"))
     found = {}
     if is_flat:  # tilted robots move along their own axes
-        found["heading_and_travel"] = planar_poses.describe_headings(
+        found["heading_and_travel"] = units.describe_headings(
             xy_m, heading_rad, column=column, is_assumed=is_assumed
         )
         assumed = cells.find_assumed("x", "y", "speed", "turn_rate")
@@ -330,7 +331,7 @@ class Cells:
         numbers = self._parse(choice)
         unit = choice.unit or self._assume_unit(choice, numbers)
         values = numbers[self._rows] * choice.units[unit]
-        return table_columns.NORTH_RAD + values if unit == "compass" else values
+        return units.NORTH_RAD + values if unit == "compass" else values
 
     def require(self, field: str) -> Values:
         """Return the numbers of an existing column."""
@@ -427,7 +428,7 @@ class Cells:
             return "deg"
         if choice.field == "heading" and {"x", "y"} <= {*self.chosen}:
             xy_m = np.column_stack([self.require("x"), self.require("y")])
-            if planar_poses.fits_degrees(xy_m, numbers[self._rows]):
+            if units.fits_degrees(xy_m, numbers[self._rows]):
                 self._guesses["heading"] = "deg, as the direction of travel shows"
                 return "deg"
         self._guesses[choice.field] = f"{usual}, assumed"
@@ -439,26 +440,26 @@ class Cells:
         choice = self.chosen["t"]
         cells = self._cells[choice.field]
         is_text = isinstance(cells[0], str)
-        kinds = [kind for kind in table_columns.TIMES if is_text and kind[0].match(cells[0])]
+        kinds = [kind for kind in units.TIMES if is_text and kind[0].match(cells[0])]
         if kinds:
             _, read, self._guesses["t"] = kinds[0]
             found: Iterable[int | None] = map(read, cells)
         else:
             unit = choice.unit
             if unit is None:
-                unit, is_dated = table_columns.guess_time_unit(choice.name, self._parse(choice))
+                unit, is_dated = units.guess_time_unit(choice.name, self._parse(choice))
                 self._guesses["t"] = f"{unit} since 1970" if is_dated else f"{unit}, assumed"
                 if not is_dated:
                     self._assumed.add("t")
-            power = table_columns.TIME_POWERS[unit]
-            found = (table_columns.read_time(cell, power) for cell in cells)
+            power = units.TIME_POWERS[unit]
+            found = (units.read_time(cell, power) for cell in cells)
         times = np.empty(len(cells), dtype=np.int64)
         for row, time_ns in enumerate(found):
             if time_ns is None:
                 self.refuse("t", row, "a time")
             times[row] = time_ns
         if (more := self.chosen.get("t_nanosec")) is not None:
-            factor = np.int64(10 ** table_columns.TIME_POWERS[more.unit or "ns"])
+            factor = np.int64(10 ** units.TIME_POWERS[more.unit or "ns"])
             times += self._parse(more).astype(np.int64) * factor
         days = count_midnights(times)
         if days.any():

@@ -1,4 +1,4 @@
-"""Poses in the plane, from messages and quaternions; headings judged by the direction of travel."""
+"""Poses in the plane, from messages and quaternions."""
 
 import math
 from collections.abc import Collection, Mapping, Sequence
@@ -17,6 +17,9 @@ Fields = Mapping[str, NDArray[Any]]
 
 ROWS_AT_ONCE: Final = 65_536
 """Number of rows that are compared or computed at once."""
+
+MOVED_M: Final = 0.1
+"""Smallest extent of a robot that moved, without jumps [m]; noise of robots at rest is smaller."""
 
 TRANSFORMS: Final = "tf2_msgs/msg/TFMessage"
 FRAME_TRANSFORM: Final = "foxglove.FrameTransform"
@@ -334,121 +337,3 @@ def wrap_far_headings(heading_rad: Values) -> tuple[Values, int]:
     """
     far = np.abs(heading_rad) > np.nextafter(np.float32(np.pi), np.float32(4.0))
     return np.where(far, wrap_angle(heading_rad), heading_rad), int(far.sum())
-
-
-MOVED_M: Final = 0.1
-"""Smallest extent of a robot that moved, without jumps [m]; noise of robots at rest is smaller."""
-
-_PIECES: Final = 100
-"""Number of pieces of a path whose directions are compared with headings."""
-
-_STRAIGHT: Final = 0.5
-"""Smallest distance between the ends of a piece, as a share of its length, of a moving robot."""
-
-_STEADY: Final = 0.5
-"""Smallest mean cosine of twice the change of direction between pieces; it is 0 for noise."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Travel:
-    """Directions of travel along pieces of a path.
-
-    Attributes:
-        firsts: First row of each piece, shape (n,).
-        lasts: Last row of each piece.
-        course_rad: Direction from the first to the last row, counter-clockwise from +x [rad].
-        length_m: Distance between them [m].
-    """
-
-    firsts: NDArray[np.int64]
-    lasts: NDArray[np.int64]
-    course_rad: Values
-    length_m: Values
-
-
-def find_travel(xy_m: Values) -> Travel | None:
-    """Return the directions of travel; None if the robot hardly moves, or scatters."""
-    with np.errstate(over="ignore", invalid="ignore"):  # lengths beyond 1e154 overflow
-        along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy_m, axis=0).T))])
-        if not np.isfinite(along_m[-1] * _PIECES):
-            return None
-    edges = np.searchsorted(along_m, np.linspace(0.0, along_m[-1], _PIECES + 1))
-    edges = np.unique(np.minimum(edges, len(along_m) - 1))
-    ways_m = np.diff(xy_m[edges], axis=0)
-    length_m = np.hypot(*ways_m.T)
-    is_straight = length_m > _STRAIGHT * np.diff(along_m[edges])
-    if is_straight.sum() < 2 or float(np.ptp(xy_m, axis=0).max()) < MOVED_M:
-        return None
-    course_rad = np.arctan2(ways_m[:, 1], ways_m[:, 0])[is_straight]
-    if float(np.cos(2.0 * np.diff(course_rad)).mean()) < _STEADY:
-        return None
-    return Travel(
-        firsts=edges[:-1][is_straight],
-        lasts=edges[1:][is_straight],
-        course_rad=course_rad,
-        length_m=length_m[is_straight],
-    )
-
-
-def _measure_misfit(travel: Travel, heading_rad: Values) -> float:
-    """Return the mean angle of headings to the line of travel [rad]; random ones give pi/4."""
-    sums = np.concatenate([[0.0], np.cumsum(np.exp(1j * heading_rad))])
-    mean_rad = np.angle(sums[travel.lasts + 1] - sums[travel.firsts])
-    off_rad = np.abs(np.angle(np.exp(2j * (mean_rad - travel.course_rad)))) / 2.0
-    return float(np.average(off_rad, weights=travel.length_m))
-
-
-_WELL_RAD: Final = 0.2
-"""Largest misfit of headings that fit the travel [rad]: noise, and a robot that slips sideways."""
-
-_TURNED_DEG: Final = 30.0
-"""Smallest range of headings that shows degrees [deg]; no path turns by so many radians."""
-
-CURVED_RAD: Final = 0.5
-"""Smallest range of directions that shows how headings count [rad]; one direction fits any
-offset."""
-
-_FOLLOWED: Final = 0.5
-"""Largest misfit of few degrees, as a share of that of one direction, which fits a straight path:
-headings follow the turns."""
-
-_BADLY_RAD: Final = 0.5
-"""Misfit from which headings contradict the travel [rad]: no robot on wheels slips by 30 deg."""
-
-
-def fits_degrees(xy_m: Values, headings: Values) -> bool:
-    """Return whether the direction of travel shows that headings are in degrees, not in radians."""
-    known = np.isfinite(xy_m).all(axis=1) & np.isfinite(headings)
-    xy_m, headings = xy_m[known], headings[known]
-    travel = find_travel(xy_m) if len(headings) > 1 else None
-    if travel is None:
-        return False
-    in_deg, in_rad = (_measure_misfit(travel, one) for one in (np.radians(headings), headings))
-    if np.ptp(headings) >= _TURNED_DEG:
-        return in_deg <= _WELL_RAD and in_deg < in_rad
-    middle_rad = np.full(len(headings), np.angle(np.exp(2j * travel.course_rad).sum()) / 2.0)
-    follows = in_deg <= _FOLLOWED * _measure_misfit(travel, middle_rad)
-    return follows and in_deg <= _WELL_RAD and in_rad > _BADLY_RAD
-
-
-def describe_headings(xy_m: Values, heading_rad: Values, *, column: str, is_assumed: bool) -> str:
-    """Return a sentence on headings that contradict the direction of travel; else nothing.
-
-    The name of their column is empty if rotations are quaternions; radians may be assumed.
-    """
-    travel = find_travel(xy_m) if len(xy_m) > 1 else None
-    if travel is None or (misfit_rad := _measure_misfit(travel, heading_rad)) <= _BADLY_RAD:
-        return ""
-    off = f"{math.degrees(misfit_rad):.0f} deg"
-    found = f"headings and direction of travel differ by {off} on average"
-    ways = (("deg", 1.0), ("compass", -1.0)) if is_assumed else (("compass", -1.0),)
-    scale = math.pi / 180.0 if is_assumed else 1.0
-    turned_rad = float(np.ptp(np.unwrap(travel.course_rad, period=math.pi)))
-    for unit, sign in ways if column and turned_rad >= CURVED_RAD else ():
-        other_rad = sign * scale * heading_rad + (0.0 if unit == "deg" else math.pi / 2.0)
-        if _measure_misfit(travel, other_rad) <= _WELL_RAD:
-            words = "degrees" if unit == "deg" else "a compass (0 is north, clockwise)"
-            return f"{found}, but fit {words}: --column heading='{column} [{unit}]'"
-    read = " (assumed in rad)" if is_assumed else ""
-    course = "; --column heading=course takes the travel instead" if column else ""
-    return f"{found}: the robot drives sideways, or the headings{read} are wrong{course}"
