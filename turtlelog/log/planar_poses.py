@@ -1,4 +1,4 @@
-"""Poses in the plane, from messages and quaternions."""
+"""Poses in the plane and commands, from messages and quaternions; poses of two programs."""
 
 import math
 from collections.abc import Collection, Mapping, Sequence
@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.display import describe_count
 from turtlelog.errors import LogError
 from turtlelog.run import Origin
 from turtlelog.run.angles import wrap_angle
@@ -162,6 +163,26 @@ def read_twist(fields: Fields, prefix: str) -> dict[str, Values]:
         "lateral_speed": widen(fields[f"{prefix}linear.y"]),
         "turn_rate": widen(fields[f"{prefix}angular.z"]),
     }
+
+
+def extract_commands(kind: str, fields: Fields, *, wheelbase_m: float | None) -> dict[str, Values]:
+    """Return forward and lateral speed [m/s] and turn rate [rad/s].
+
+    A car turns with speed * tan(steering angle) / wheelbase; NaN from 90 deg on.
+    """
+    if kind in ACKERMANN_TYPES and wheelbase_m is not None:
+        drive = COMMAND_TYPES[kind]
+        speed_m_s = widen(fields[f"{drive}speed"])
+        steering_rad = widen(fields[f"{drive}steering_angle"])
+        is_aside = np.abs(steering_rad) >= np.pi / 2.0  # No car turns with a wheel at 90 deg.
+        steering_rad = np.where(is_aside, np.nan, steering_rad)
+        return {
+            "speed": speed_m_s,
+            "lateral_speed": np.zeros_like(speed_m_s),
+            "turn_rate": speed_m_s * np.tan(steering_rad) / wheelbase_m,
+        }
+    prefix = COMMAND_TYPES.get(kind)
+    return read_twist(fields, (find_twist(fields) or "") if prefix is None else prefix)
 
 
 def _turn_quaternions(fields: Fields, orientation: str) -> dict[str, Values]:
@@ -337,3 +358,79 @@ def wrap_far_headings(heading_rad: Values) -> tuple[Values, int]:
     """
     far = np.abs(heading_rad) > np.nextafter(np.float32(np.pi), np.float32(4.0))
     return np.where(far, wrap_angle(heading_rad), heading_rad), int(far.sum())
+
+
+_LEAP_M: Final = 0.1
+"""Smallest step of a leap [m]; the noise of a filter between two poses is smaller."""
+
+_LEAP_BACK: Final = 0.2
+"""Largest distance of a later pose from the start of the leap, as a share of the leap."""
+
+_LEAP_SHARE: Final = 0.2
+"""Smallest share of poses, or steps, that leap if two programs publish poses. One program may
+publish only every fourth pose; a tenth of the poses of pure noise leap and return."""
+
+_LEAP_ROWS: Final = 4
+
+
+def describe_leaps(xy_m: Values) -> str | None:
+    """Return a sentence on poses, as received, that alternate between two places; else None."""
+    rows = len(xy_m) - _LEAP_ROWS
+    if rows < _LEAP_ROWS:
+        return None
+    far_m = np.hypot(*(xy_m[1 : 1 + rows] - xy_m[:rows]).T)
+    least_m = np.full(rows, np.inf)
+    for later in range(2, _LEAP_ROWS + 1):
+        np.minimum(least_m, np.hypot(*(xy_m[later : later + rows] - xy_m[:rows]).T), out=least_m)
+    leaps = (far_m > _LEAP_M) & (least_m < _LEAP_BACK * far_m)
+    if leaps.mean() <= _LEAP_SHARE:
+        return None
+    size_m = float(np.median(far_m[leaps]))
+    return (
+        f"poses leap to and fro by {size_m:.3g} m, {describe_count(int(leaps.sum()), 'time')}: two"
+        " programs seem to publish them, and no motion can be told"
+    )
+
+
+_LEAST_LEAP_M: Final = 0.01
+"""Smallest leap of a driving robot [m]; a filter's noise, and rounding, are smaller."""
+
+_ROWS: Final = 4
+"""Number of poses on either side that give the robot's motion. Leaps cancel out in them."""
+
+_OPPOSITE: Final = 0.9
+"""Cosine of the angle between a leap and the reverse of the next (26 deg) from which they agree."""
+
+_MOST_LEAPS: Final = 0.8
+"""Smallest share of leaps that the next leap reverses; for noise in any direction it is below
+0.5."""
+
+_FAR: Final = 5.0
+"""Smallest motion in leaps: a robot at rest may alternate between two rounded positions."""
+
+
+def describe_small_leaps(xy_m: Values) -> str | None:
+    """Return a sentence on poses of two programs that are a few centimetres apart; else None."""
+    # Messages that were recorded twice add steps of 0.
+    xy_m = xy_m[np.append(True, (np.diff(xy_m, axis=0) != 0.0).any(axis=1))]
+    if len(xy_m) <= 4 * _ROWS:
+        return None
+    drive_m = (xy_m[2 * _ROWS :] - xy_m[: -2 * _ROWS]) / (2 * _ROWS)
+    steps_m = np.diff(xy_m, axis=0)[_ROWS - 1 : _ROWS - 1 + len(drive_m)]
+    beyond_m = steps_m - drive_m
+    size_m = np.hypot(*beyond_m.T)
+    least_m = max(_LEAST_LEAP_M, 0.5 * float(np.quantile(size_m, 0.9)))
+    leaps = np.flatnonzero(size_m > least_m)
+    if len(leaps) < max(_LEAP_SHARE * len(size_m), 2):
+        return None
+    unit = beyond_m[leaps] / size_m[leaps, np.newaxis]
+    is_back = -(unit[1:] * unit[:-1]).sum(axis=1) >= _OPPOSITE
+    leap_m = float(np.median(size_m[leaps]))
+    driven_m = float(np.hypot(*np.diff(xy_m[:: 2 * _ROWS], axis=0).T).sum())
+    if is_back.mean() <= _MOST_LEAPS or driven_m < _FAR * leap_m:
+        return None
+    return (
+        f"poses go to and fro by {leap_m:.3g} m, {describe_count(len(leaps), 'time')}, beside the"
+        " way: two programs seem to publish them; a reported speed is more likely right than"
+        " differences of poses"
+    )

@@ -8,8 +8,15 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from turtlelog.display import format_short
-from turtlelog.log.planar_poses import MOVED_M, Values, describe_height, describe_level
-from turtlelog.log.ros2.bag_rows import OrderedRows, describe_leaps, describe_small_leaps
+from turtlelog.log.planar_poses import (
+    MOVED_M,
+    Values,
+    describe_height,
+    describe_leaps,
+    describe_level,
+    describe_small_leaps,
+)
+from turtlelog.log.ros2.bag_rows import OrderedRows
 from turtlelog.log.ros2.stamps import TimesNs, thin_rows
 from turtlelog.log.units import UNITS, describe_units
 
