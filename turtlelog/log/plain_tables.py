@@ -10,7 +10,7 @@ from typing import Final, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.display import format_seconds, format_utc, join_words
+from turtlelog.display import format_seconds, format_utc
 from turtlelog.errors import LogError
 from turtlelog.files.urls import make_path
 from turtlelog.log import planar_poses, table_columns, units
@@ -22,8 +22,16 @@ from turtlelog.log.ros2.computed_poses import take_asked_courses
 from turtlelog.log.ros2.reported_motion import describe_speed, describe_turning
 from turtlelog.log.ros2.set_clocks import DAY_NS, count_midnights, describe_restart, find_runs
 from turtlelog.log.ros2.stamps import note_crowded
-from turtlelog.log.table_columns import Choice, offer_robots, show_column
-from turtlelog.log.table_files import KITTI_COLUMNS, PlainTable, read_plain_table
+from turtlelog.log.table_columns import (
+    COURSE,
+    QUATERNION,
+    Choice,
+    has_quaternion,
+    offer_robots,
+    require_columns,
+    show_column,
+)
+from turtlelog.log.table_files import PlainTable, read_plain_table
 from turtlelog.log.units import EPOCHS, QUANTITIES, describe_units
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns, SourceKind
 
@@ -31,18 +39,6 @@ _NEVER: Final = (
     *("poses.speed_m_s", "poses.turn_rate_rad_s", "samples", "goal_xy_m", "goal_heading_rad"),
     *("parameters", "stop_reason", "events"),
 )
-
-_QUATERNION: Final = ("qx", "qy", "qz", "qw")
-_PLANAR: Final = ("qz", "qw")
-"""Columns of a quaternion about the vertical axis; x and y are 0 if no column has them."""
-
-_COURSE: Final = "course"
-"""Name that asks for the direction of travel instead of a column of headings."""
-
-_NEEDED: Final = ("t", "x", "y", "heading")
-
-_SHOWN_NAMES: Final = 12
-"""Largest number of columns that an error lists."""
 
 _MOST_UNREAD: Final = 160
 """Largest number of letters that list the columns which are not read, at least one each."""
@@ -78,13 +74,13 @@ def import_plain_table(
         table = read_plain_table(path, allow_partial=allow_partial)
         robots = table_columns.find_table_robots(table.names)
         asked = {**robots.get(robot or "", {}), **(columns or {})}
-        if has_courses := asked.get("heading") == _COURSE and _COURSE not in table.names:
+        if has_courses := asked.get("heading") == COURSE and COURSE not in table.names:
             del asked["heading"]
         chosen = table_columns.assign_columns(table.names, asked, table.units)
         if has_courses:
-            turns = {"heading", *_QUATERNION}
+            turns = {"heading", *QUATERNION}
             chosen = {name: choice for name, choice in chosen.items() if name not in turns}
-        _require_columns(table, chosen, [*robots], has_courses=has_courses)
+        require_columns(table, chosen, [*robots], has_courses=has_courses)
         cells = Cells(table, chosen, robot)
         run = _build_run(path, cells)
         if robot not in {*robots, *cells.robots}:
@@ -92,37 +88,6 @@ def import_plain_table(
         origin = replace(run.origin, robot=robot)
         name = f"{run.name}:{robot}"
         return replace(run, name=name, origin=origin, notes={**run.notes, "robot": robot})
-
-
-def _require_columns(
-    table: PlainTable, chosen: Mapping[str, Choice], robots: Sequence[str], *, has_courses: bool
-) -> None:
-    is_turned = has_courses or _has_quaternion(chosen)
-    known = {*chosen, "heading"} if is_turned else {*chosen}
-    if missing := [name for name in _NEEDED if name not in known]:
-        if {"row", "failed"} <= {*table.names}:
-            raise LogError("a table of turtlelog sweep, not a run: turtlelog plot shows it")
-        if {"file", "sha256", "error"} <= {*table.names}:
-            raise LogError(
-                "results of turtlelog metrics or check, not a run: its column file names the runs"
-            )
-        if table.names == KITTI_COLUMNS and not table.has_header:
-            raise LogError(
-                "a KITTI trajectory has no times, so it is no run; turtlelog compare FILE"
-                " --reference FILE --ate compares two of them"
-            )
-        shown = range(min(len(table.names), _SHOWN_NAMES))
-        found = ", ".join(show_column(table.names, place) for place in shown)
-        more = ", ..." if len(table.names) > _SHOWN_NAMES else ""
-        offered = "" if missing == ["t"] else offer_robots(robots)  # all robots have the others
-        options = offered or f"--column {missing[0]}='NAME [UNIT]' says which"
-        if missing == ["heading"] and not offered:
-            options += f", or --column heading={_COURSE} takes the direction of travel"
-        raise LogError(f"no column for {join_words(missing)}; there are {found}{more}: {options}")
-
-
-def _has_quaternion(chosen: Mapping[str, Choice]) -> bool:
-    return {*_QUATERNION}.intersection(chosen) in ({*_QUATERNION}, {*_PLANAR})
 
 
 def _build_run(path: Path, cells: "Cells") -> Run:
@@ -232,11 +197,11 @@ def _read_rotation(cells: "Cells") -> dict[str, Values]:
     heading = cells.read("heading")
     if heading is not None:
         return {"heading": heading}
-    if not _has_quaternion(cells.chosen):
+    if not has_quaternion(cells.chosen):
         return {}
     x, y, z, w = cells.require_turns()
-    if {*_QUATERNION} <= {*cells.chosen}:
-        names = [cells.chosen[name].name for name in _QUATERNION]
+    if {*QUATERNION} <= {*cells.chosen}:
+        names = [cells.chosen[name].name for name in QUATERNION]
         cells.notes |= planar_poses.describe_order(x, y, z, w, names=names)
     return {
         "heading": planar_poses.compute_heading(x, y, z, w),
@@ -387,7 +352,7 @@ class Cells:
     def require_turns(self) -> Sequence[Values]:
         """Return the columns of quaternions x, y, z, w. A length of 0 is refused."""
         zeros = np.zeros(len(self.time_ns))
-        columns = [zeros if (one := self.read(name)) is None else one for name in _QUATERNION]
+        columns = [zeros if (one := self.read(name)) is None else one for name in QUATERNION]
         with np.errstate(over="ignore"):
             empty = np.square(columns).sum(axis=0) == 0.0
         if empty.any():

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from turtlelog.display import join_words
 from turtlelog.errors import LogError
+from turtlelog.log.table_files import KITTI_COLUMNS, PlainTable
 from turtlelog.log.units import DATES, QUANTITIES, UNITS, read_unit
 
 _NAMES: Final[Mapping[str, str]] = {
@@ -140,6 +141,53 @@ def _fill_unit(choice: Choice, text: str) -> Choice:
             f" --column {choice.field}='{choice.name} [UNIT]' names one"
         )
     return replace(choice, unit=unit)
+
+
+QUATERNION: Final = ("qx", "qy", "qz", "qw")
+
+_PLANAR: Final = ("qz", "qw")
+"""Columns of a quaternion about the vertical axis; x and y are 0 if no column has them."""
+
+COURSE: Final = "course"
+"""Name that asks for the direction of travel instead of a column of headings."""
+
+_NEEDED: Final = ("t", "x", "y", "heading")
+
+_SHOWN_NAMES: Final = 12
+"""Largest number of columns that an error lists."""
+
+
+def require_columns(
+    table: PlainTable, chosen: Mapping[str, Choice], robots: Sequence[str], *, has_courses: bool
+) -> None:
+    """Raise an error with options if columns of a run are missing."""
+    is_turned = has_courses or has_quaternion(chosen)
+    known = {*chosen, "heading"} if is_turned else {*chosen}
+    if missing := [name for name in _NEEDED if name not in known]:
+        if {"row", "failed"} <= {*table.names}:
+            raise LogError("a table of turtlelog sweep, not a run: turtlelog plot shows it")
+        if {"file", "sha256", "error"} <= {*table.names}:
+            raise LogError(
+                "results of turtlelog metrics or check, not a run: its column file names the runs"
+            )
+        if table.names == KITTI_COLUMNS and not table.has_header:
+            raise LogError(
+                "a KITTI trajectory has no times, so it is no run; turtlelog compare FILE"
+                " --reference FILE --ate compares two of them"
+            )
+        shown = range(min(len(table.names), _SHOWN_NAMES))
+        found = ", ".join(show_column(table.names, place) for place in shown)
+        more = ", ..." if len(table.names) > _SHOWN_NAMES else ""
+        offered = "" if missing == ["t"] else offer_robots(robots)  # all robots have the others
+        options = offered or f"--column {missing[0]}='NAME [UNIT]' says which"
+        if missing == ["heading"] and not offered:
+            options += f", or --column heading={COURSE} takes the direction of travel"
+        raise LogError(f"no column for {join_words(missing)}; there are {found}{more}: {options}")
+
+
+def has_quaternion(chosen: Mapping[str, Choice]) -> bool:
+    """Return whether the columns are all those of a quaternion, at least about the vertical."""
+    return {*QUATERNION}.intersection(chosen) in ({*QUATERNION}, {*_PLANAR})
 
 
 def describe_unread_commands(names: Sequence[str], chosen: Mapping[str, Choice]) -> str:
