@@ -14,7 +14,7 @@ from tests.cli.conftest import Call
 from tests.log.ros2.bags import START_NS, Said, make_command, make_odometry, make_poses, write_mcap
 from tests.log.ros2.robots import say_goal
 from tests.log.runs import find_shared
-from turtlelog.cli import info_summary
+from turtlelog.cli import work
 
 MS = 1_000_000
 
@@ -185,7 +185,7 @@ def test_how_a_run_ended_is_told_of_what_is_quickly_read_and_had_a_goal(
 ) -> None:
     told = call("run", "paper-kp4").out
     assert "missed the goal by 8.52 mm (allowed: 6.69 mm) after 11.2 s" in told
-    monkeypatch.setattr(info_summary, "LARGEST_BYTES", kp4.stat().st_size - 1)
+    monkeypatch.setattr(work, "LARGEST_BYTES", kp4.stat().st_size - 1)
     assert "  ended       standstill\n" in call("info", kp4).out
     square = tmp_path / "square.mcap"
     assert call("run", "track-square", "-o", square).code == 0
@@ -211,9 +211,9 @@ def test_of_large_bags_the_poses_are_read_where_that_is_asked_for(
     call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = write_mcap(tmp_path / "bag.mcap", make_drive())
-    monkeypatch.setattr(info_summary, "LARGEST_BYTES", path.stat().st_size)
+    monkeypatch.setattr(work, "LARGEST_BYTES", path.stat().st_size)
     assert call("info", path, "--json").json[0]["clock"]["used"] == "stamp"
-    monkeypatch.setattr(info_summary, "LARGEST_BYTES", path.stat().st_size - 1)
+    monkeypatch.setattr(work, "LARGEST_BYTES", path.stat().st_size - 1)
     (answer,) = call("info", path, "--json").json
     assert answer["summary"] == "a robot: 40 poses on /odom, 20.5 Hz on the average; not turtlesim"
     assert answer["clock"] is None

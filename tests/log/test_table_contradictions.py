@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.any_file import read_run, read_trajectory
-from turtlelog.log.planar_poses import find_travel
 from turtlelog.log.ros2.set_clocks import find_runs
+from turtlelog.log.units import find_travel
 from turtlelog.run import Run
 
 Values = NDArray[np.float64]

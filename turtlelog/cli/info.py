@@ -17,8 +17,8 @@ from turtlelog.cli.info_summary import (
     NOTHING_LEFT,
     ReadRun,
     Summary,
-    count_read,
     holds_nothing,
+    list_absent,
     name_bag,
     name_kind,
     summarise,
@@ -31,7 +31,7 @@ from turtlelog.cli.options import (
     list_option_words,
     require_files,
 )
-from turtlelog.cli.work import Jobs, count_jobs, watch_files
+from turtlelog.cli.work import Jobs, count_jobs, count_read, watch_files
 from turtlelog.display import describe_count, join_words
 from turtlelog.errors import TurtlelogError, release_frames
 from turtlelog.escapes import escape_controls
@@ -212,7 +212,7 @@ def _read(
         ending=None if summary.end is None else summary.end.describe(),
         verdict=None if summary.end is None else summary.end.verdict,
         run_duration_s=None if summary.run is None else summary.run.duration_s,
-        absent=_list_absent(recording, summary),
+        absent=list_absent(recording, summary),
         missing=(*(f"no {one}" for one in summary.missing), *summary.needs),
         clock=summary.clock,
         notes={**recording.notes, **summary.notes},
@@ -228,18 +228,6 @@ def _read(
         described=summary,
         was_clock_set=recording.was_clock_set or summary.was_clock_set,
     )
-
-
-def _list_absent(recording: "tl.log.RecordingInfo", summary: Summary) -> tuple[str, ...]:
-    """Return the absent fields. Topics of commands are known only if the run was read."""
-    run = summary.run
-    more = [] if run is None or run.poses else ["poses"]
-    more += [] if run is None or run.commands else ["commands"]
-    if summary.run is None and recording.format_version is None:
-        held = {topic.type for topic in recording.topics if topic.count}
-        kinds = {"poses": tl.log.POSE_TYPES, "commands": tl.log.COMMAND_TYPES}
-        more += [name for name, types in kinds.items() if not held.intersection(types)]
-    return tuple(dict.fromkeys([*more, *recording.absent]))
 
 
 def _format_answer(

@@ -2,16 +2,14 @@
 
 import re
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import turtlelog as tl
+from turtlelog.cli.work import TRANSFORMS, find_large
 from turtlelog.display import describe_count, join_words
 from turtlelog.errors import LogError, TurtlelogError
-from turtlelog.files.urls import RemotePath
-from turtlelog.processes import count_bytes
 from turtlelog.run.stop_reasons import GoalEnd, find_goal_end
 
 if TYPE_CHECKING:
@@ -21,18 +19,6 @@ if TYPE_CHECKING:
 
     from turtlelog.cli.info import InfoAnswer
 
-
-LARGEST_BYTES: Final = 64 * 2**20
-"""Largest bag whose poses are read by default [bytes]; MCAP or SQLite of this size takes less than
-a second."""
-
-_MOST_TRANSFORMS: Final = 20_000
-"""Largest number of transforms read by default; each takes about 20 us, more than other
-messages."""
-
-_OWN: Final = b"turtlelog"
-_HEAD_BYTES: Final = 64
-"""Number of bytes at the start of a recording; the first record names the library that wrote it."""
 
 _FEWEST_RATED: Final = 20
 """Smallest number of messages for which a rate is given."""
@@ -60,7 +46,6 @@ _NO_ROBOTS: Final = frozenset({_TURTLESIM, _IMU_ALONE, _CONTROLLER, _TABLE, _NO_
 _SHOWN_TOPICS: Final = 3
 
 CONTROL: Final = "turtlelog_msgs/msg/ControlSample"
-_TRANSFORMS: Final = "tf2_msgs/msg/TFMessage"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -128,7 +113,7 @@ def summarise(
     if not info.complete and (is_lost or not choice.allow_partial):
         text = NOTHING_LEFT if is_lost else _summarise_topics(info, "it is not complete")
         return Summary(text=text)
-    if not is_asked and (large := _find_large(path, info)):
+    if not is_asked and (large := find_large(path, info)):
         note = f"not looked at, {large}: info --clock does"
         return Summary(text=_summarise_topics(info, ""), notes={"clock": note})
     try:
@@ -144,6 +129,18 @@ def summarise(
             notes={"not_poses": others} if others else {},
         )
     return _summarise_run(run, info)
+
+
+def list_absent(recording: "tl.log.RecordingInfo", summary: Summary) -> tuple[str, ...]:
+    """Return the absent fields. Topics of commands are known only if the run was read."""
+    run = summary.run
+    more = [] if run is None or run.poses else ["poses"]
+    more += [] if run is None or run.commands else ["commands"]
+    if summary.run is None and recording.format_version is None:
+        held = {topic.type for topic in recording.topics if topic.count}
+        kinds = {"poses": tl.log.POSE_TYPES, "commands": tl.log.COMMAND_TYPES}
+        more += [name for name, types in kinds.items() if not held.intersection(types)]
+    return tuple(dict.fromkeys([*more, *recording.absent]))
 
 
 def holds_nothing(info: "tl.log.RecordingInfo | InfoAnswer") -> bool:
@@ -174,15 +171,6 @@ def name_bag(answer: "InfoAnswer") -> str:
     return f"ROS {1 if answer.source == 'ros1' else 2} bag"
 
 
-def count_read(path: Path, *, is_asked: bool) -> int:
-    """Return the approximate bytes read to describe a file; few for a turtlelog recording."""
-    with suppress(OSError), path.open("rb") as stream:  # not a folder, or an unreadable file
-        if _OWN in stream.read(_HEAD_BYTES):
-            return 0
-    size = count_bytes(tl.log.split_topic(path)[0])
-    return size if is_asked or size <= LARGEST_BYTES else 0
-
-
 def _summarise_own(info: "tl.log.RecordingInfo") -> str:
     law, plant = info.parameters.get("law.kind"), info.parameters.get("plant.kind", "turtlesim")
     is_simulated = tl.run.find_source_kind(info.source) is tl.run.SourceKind.SIMULATION
@@ -200,31 +188,13 @@ def _summarise_own(info: "tl.log.RecordingInfo") -> str:
 
 def _find_end(path: Path, info: "tl.log.RecordingInfo", *, is_asked: bool) -> GoalEnd | None:
     """Return how a turtlelog recording's run ended at its goal, unless the file is large."""
-    if not info.complete or (not is_asked and _find_large(path, info)):
+    if not info.complete or (not is_asked and find_large(path, info)):
         return None
     try:
         run = tl.log.read_run(path)
     except TurtlelogError:
         return None  # the readable part is described, and `metrics` reports the rest
     return find_goal_end(run)
-
-
-def _find_large(path: Path, info: "tl.log.RecordingInfo") -> str:
-    """Return why a file is too large to be read by default; empty if it is small enough."""
-    if not info.topics:
-        return ""  # tables and logs are always read completely
-    path, _ = tl.log.split_topic(path)
-    if isinstance(path, RemotePath):
-        return "it is behind a URL"
-    size = count_bytes(path)
-    if size > LARGEST_BYTES:
-        return f"{size / 2**20:,.0f} MiB"
-    transforms = sum(topic.count for topic in info.topics if topic.type == _TRANSFORMS)
-    if transforms <= _MOST_TRANSFORMS:
-        return ""  # which kinds of poses there are is not asked: it would load the room of bags
-    kinds = {topic.type for topic in info.topics if topic.count > 0} - {_TRANSFORMS}
-    others = kinds.intersection(tl.log.POSE_TYPES)
-    return "" if others else f"{transforms:,} messages of transforms"
 
 
 def _summarise_topics(info: "tl.log.RecordingInfo", reason: str) -> str:
@@ -243,8 +213,8 @@ def _summarise_topics(info: "tl.log.RecordingInfo", reason: str) -> str:
     except LogError as err:
         return f"poses, of which none is chosen: {reason or err}"
     if reason and not _is_undecided(info, chosen.topic):
-        fault = "give no poses" if chosen.type == _TRANSFORMS else "cannot be read"
-        noun = "transforms" if chosen.type == _TRANSFORMS else "poses"
+        fault = "give no poses" if chosen.type == TRANSFORMS else "cannot be read"
+        noun = "transforms" if chosen.type == TRANSFORMS else "poses"
         return f"{noun} on {chosen.topic}, which {fault}: {reason}"
     is_turtlesim = chosen.type.startswith("turtlesim")
     kind = _TURTLESIM if is_turtlesim else _ROBOT

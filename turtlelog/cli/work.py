@@ -1,4 +1,4 @@
-"""Work of a command: processes, progress, tables of recordings, and the wait for saved files."""
+"""Work of a command: processes, progress, large files, tables, and the wait for saved files."""
 
 import os
 import sys
@@ -18,7 +18,8 @@ import turtlelog as tl
 from turtlelog.cli.console import print_note, print_run_notes
 from turtlelog.cli.usage import read_whole
 from turtlelog.errors import TurtlelogError, UsageError
-from turtlelog.processes import COMPILING, FILE_S, choose_jobs
+from turtlelog.files.urls import RemotePath
+from turtlelog.processes import COMPILING, FILE_S, choose_jobs, count_bytes
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -227,6 +228,48 @@ def count_jobs(
 ) -> int:
     """Return the number of processes for files: the given number, or else from `choose_jobs`."""
     return asked or choose_jobs(files, file_s=file_s, count_read=count_read)
+
+
+LARGEST_BYTES: Final = 64 * 2**20
+"""Largest bag whose poses are read by default [bytes]; MCAP or SQLite of this size takes less than
+a second."""
+
+TRANSFORMS: Final = "tf2_msgs/msg/TFMessage"
+_MOST_TRANSFORMS: Final = 20_000
+"""Largest number of transforms read by default; each takes about 20 us, more than other
+messages."""
+
+_OWN: Final = b"turtlelog"
+
+_HEAD_BYTES: Final = 64
+"""Number of bytes at the start of a recording; the first record names the library that wrote it."""
+
+
+def count_read(path: Path, *, is_asked: bool) -> int:
+    """Return the approximate bytes read to describe a file; few for a turtlelog recording."""
+    with suppress(OSError), path.open("rb") as stream:  # not a folder, or an unreadable file
+        if _OWN in stream.read(_HEAD_BYTES):
+            return 0
+    size = count_bytes(tl.log.split_topic(path)[0])
+    return size if is_asked or size <= LARGEST_BYTES else 0
+
+
+def find_large(path: Path, info: "tl.log.RecordingInfo") -> str:
+    """Return why a file is too large to be read by default; empty if it is small enough."""
+    if not info.topics:
+        return ""  # tables and logs are always read completely
+    path, _ = tl.log.split_topic(path)
+    if isinstance(path, RemotePath):
+        return "it is behind a URL"
+    size = count_bytes(path)
+    if size > LARGEST_BYTES:
+        return f"{size / 2**20:,.0f} MiB"
+    transforms = sum(topic.count for topic in info.topics if topic.type == TRANSFORMS)
+    if transforms <= _MOST_TRANSFORMS:
+        return ""  # which kinds of poses there are is not asked: it would load the room of bags
+    kinds = {topic.type for topic in info.topics if topic.count > 0} - {TRANSFORMS}
+    others = kinds.intersection(tl.log.POSE_TYPES)
+    return "" if others else f"{transforms:,} messages of transforms"
 
 
 def watch_files(

@@ -71,11 +71,13 @@ from .ros2 import (
 from .table_columns import (
     assign_columns as assign_columns,
     find_table_robots as find_table_robots,
-    read_time as read_time,
 )
 from .table_files import (
     KITTI_COLUMNS as KITTI_COLUMNS,
     PlainTable as PlainTable,
     export_tum as export_tum,
     read_plain_table as read_plain_table,
+)
+from .units import (
+    read_time as read_time,
 )

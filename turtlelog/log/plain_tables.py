@@ -10,38 +10,35 @@ from typing import Final, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.display import format_seconds, format_utc, join_words
+from turtlelog.display import format_seconds, format_utc
 from turtlelog.errors import LogError
 from turtlelog.files.urls import make_path
-from turtlelog.log import planar_poses, table_columns
+from turtlelog.log import planar_poses, table_columns, units
 from turtlelog.log.file_access import name_file
 from turtlelog.log.planar_poses import Values
 from turtlelog.log.read_choice import CHOSEN, RESTARTS, UNREAD_COMMANDS
 from turtlelog.log.ros2.bag_rows import LARGEST
 from turtlelog.log.ros2.computed_poses import take_asked_courses
-from turtlelog.log.ros2.reported_motion import describe_speed, describe_turning, describe_units
+from turtlelog.log.ros2.reported_motion import describe_speed, describe_turning
 from turtlelog.log.ros2.set_clocks import DAY_NS, count_midnights, describe_restart, find_runs
 from turtlelog.log.ros2.stamps import note_crowded
-from turtlelog.log.table_columns import EPOCHS, QUANTITIES, Choice, offer_robots, show_column
-from turtlelog.log.table_files import KITTI_COLUMNS, PlainTable, read_plain_table
+from turtlelog.log.table_columns import (
+    COURSE,
+    QUATERNION,
+    Choice,
+    has_quaternion,
+    offer_robots,
+    require_columns,
+    show_column,
+)
+from turtlelog.log.table_files import PlainTable, read_plain_table
+from turtlelog.log.units import EPOCHS, QUANTITIES, describe_units
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns, SourceKind
 
 _NEVER: Final = (
     *("poses.speed_m_s", "poses.turn_rate_rad_s", "samples", "goal_xy_m", "goal_heading_rad"),
     *("parameters", "stop_reason", "events"),
 )
-
-_QUATERNION: Final = ("qx", "qy", "qz", "qw")
-_PLANAR: Final = ("qz", "qw")
-"""Columns of a quaternion about the vertical axis; x and y are 0 if no column has them."""
-
-_COURSE: Final = "course"
-"""Name that asks for the direction of travel instead of a column of headings."""
-
-_NEEDED: Final = ("t", "x", "y", "heading")
-
-_SHOWN_NAMES: Final = 12
-"""Largest number of columns that an error lists."""
 
 _MOST_UNREAD: Final = 160
 """Largest number of letters that list the columns which are not read, at least one each."""
@@ -77,13 +74,13 @@ def import_plain_table(
         table = read_plain_table(path, allow_partial=allow_partial)
         robots = table_columns.find_table_robots(table.names)
         asked = {**robots.get(robot or "", {}), **(columns or {})}
-        if has_courses := asked.get("heading") == _COURSE and _COURSE not in table.names:
+        if has_courses := asked.get("heading") == COURSE and COURSE not in table.names:
             del asked["heading"]
         chosen = table_columns.assign_columns(table.names, asked, table.units)
         if has_courses:
-            turns = {"heading", *_QUATERNION}
+            turns = {"heading", *QUATERNION}
             chosen = {name: choice for name, choice in chosen.items() if name not in turns}
-        _require_columns(table, chosen, [*robots], has_courses=has_courses)
+        require_columns(table, chosen, [*robots], has_courses=has_courses)
         cells = Cells(table, chosen, robot)
         run = _build_run(path, cells)
         if robot not in {*robots, *cells.robots}:
@@ -91,37 +88,6 @@ def import_plain_table(
         origin = replace(run.origin, robot=robot)
         name = f"{run.name}:{robot}"
         return replace(run, name=name, origin=origin, notes={**run.notes, "robot": robot})
-
-
-def _require_columns(
-    table: PlainTable, chosen: Mapping[str, Choice], robots: Sequence[str], *, has_courses: bool
-) -> None:
-    is_turned = has_courses or _has_quaternion(chosen)
-    known = {*chosen, "heading"} if is_turned else {*chosen}
-    if missing := [name for name in _NEEDED if name not in known]:
-        if {"row", "failed"} <= {*table.names}:
-            raise LogError("a table of turtlelog sweep, not a run: turtlelog plot shows it")
-        if {"file", "sha256", "error"} <= {*table.names}:
-            raise LogError(
-                "results of turtlelog metrics or check, not a run: its column file names the runs"
-            )
-        if table.names == KITTI_COLUMNS and not table.has_header:
-            raise LogError(
-                "a KITTI trajectory has no times, so it is no run; turtlelog compare FILE"
-                " --reference FILE --ate compares two of them"
-            )
-        shown = range(min(len(table.names), _SHOWN_NAMES))
-        found = ", ".join(show_column(table.names, place) for place in shown)
-        more = ", ..." if len(table.names) > _SHOWN_NAMES else ""
-        offered = "" if missing == ["t"] else offer_robots(robots)  # all robots have the others
-        options = offered or f"--column {missing[0]}='NAME [UNIT]' says which"
-        if missing == ["heading"] and not offered:
-            options += f", or --column heading={_COURSE} takes the direction of travel"
-        raise LogError(f"no column for {join_words(missing)}; there are {found}{more}: {options}")
-
-
-def _has_quaternion(chosen: Mapping[str, Choice]) -> bool:
-    return {*_QUATERNION}.intersection(chosen) in ({*_QUATERNION}, {*_PLANAR})
 
 
 def _build_run(path: Path, cells: "Cells") -> Run:
@@ -214,7 +180,7 @@ def _list_contradictions(
     is_assumed = bool(cells.find_assumed("heading"))
     found = {}
     if is_flat:  # tilted robots move along their own axes
-        found["heading_and_travel"] = planar_poses.describe_headings(
+        found["heading_and_travel"] = units.describe_headings(
             xy_m, heading_rad, column=column, is_assumed=is_assumed
         )
         assumed = cells.find_assumed("x", "y", "speed", "turn_rate")
@@ -231,11 +197,11 @@ def _read_rotation(cells: "Cells") -> dict[str, Values]:
     heading = cells.read("heading")
     if heading is not None:
         return {"heading": heading}
-    if not _has_quaternion(cells.chosen):
+    if not has_quaternion(cells.chosen):
         return {}
     x, y, z, w = cells.require_turns()
-    if {*_QUATERNION} <= {*cells.chosen}:
-        names = [cells.chosen[name].name for name in _QUATERNION]
+    if {*QUATERNION} <= {*cells.chosen}:
+        names = [cells.chosen[name].name for name in QUATERNION]
         cells.notes |= planar_poses.describe_order(x, y, z, w, names=names)
     return {
         "heading": planar_poses.compute_heading(x, y, z, w),
@@ -330,7 +296,7 @@ class Cells:
         numbers = self._parse(choice)
         unit = choice.unit or self._assume_unit(choice, numbers)
         values = numbers[self._rows] * choice.units[unit]
-        return table_columns.NORTH_RAD + values if unit == "compass" else values
+        return units.NORTH_RAD + values if unit == "compass" else values
 
     def require(self, field: str) -> Values:
         """Return the numbers of an existing column."""
@@ -386,7 +352,7 @@ class Cells:
     def require_turns(self) -> Sequence[Values]:
         """Return the columns of quaternions x, y, z, w. A length of 0 is refused."""
         zeros = np.zeros(len(self.time_ns))
-        columns = [zeros if (one := self.read(name)) is None else one for name in _QUATERNION]
+        columns = [zeros if (one := self.read(name)) is None else one for name in QUATERNION]
         with np.errstate(over="ignore"):
             empty = np.square(columns).sum(axis=0) == 0.0
         if empty.any():
@@ -427,7 +393,7 @@ class Cells:
             return "deg"
         if choice.field == "heading" and {"x", "y"} <= {*self.chosen}:
             xy_m = np.column_stack([self.require("x"), self.require("y")])
-            if planar_poses.fits_degrees(xy_m, numbers[self._rows]):
+            if units.fits_degrees(xy_m, numbers[self._rows]):
                 self._guesses["heading"] = "deg, as the direction of travel shows"
                 return "deg"
         self._guesses[choice.field] = f"{usual}, assumed"
@@ -439,26 +405,26 @@ class Cells:
         choice = self.chosen["t"]
         cells = self._cells[choice.field]
         is_text = isinstance(cells[0], str)
-        kinds = [kind for kind in table_columns.TIMES if is_text and kind[0].match(cells[0])]
+        kinds = [kind for kind in units.TIMES if is_text and kind[0].match(cells[0])]
         if kinds:
             _, read, self._guesses["t"] = kinds[0]
             found: Iterable[int | None] = map(read, cells)
         else:
             unit = choice.unit
             if unit is None:
-                unit, is_dated = table_columns.guess_time_unit(choice.name, self._parse(choice))
+                unit, is_dated = units.guess_time_unit(choice.name, self._parse(choice))
                 self._guesses["t"] = f"{unit} since 1970" if is_dated else f"{unit}, assumed"
                 if not is_dated:
                     self._assumed.add("t")
-            power = table_columns.TIME_POWERS[unit]
-            found = (table_columns.read_time(cell, power) for cell in cells)
+            power = units.TIME_POWERS[unit]
+            found = (units.read_time(cell, power) for cell in cells)
         times = np.empty(len(cells), dtype=np.int64)
         for row, time_ns in enumerate(found):
             if time_ns is None:
                 self.refuse("t", row, "a time")
             times[row] = time_ns
         if (more := self.chosen.get("t_nanosec")) is not None:
-            factor = np.int64(10 ** table_columns.TIME_POWERS[more.unit or "ns"])
+            factor = np.int64(10 ** units.TIME_POWERS[more.unit or "ns"])
             times += self._parse(more).astype(np.int64) * factor
         days = count_midnights(times)
         if days.any():

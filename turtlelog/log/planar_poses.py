@@ -1,4 +1,4 @@
-"""Poses in the plane, from messages and quaternions; headings judged by the direction of travel."""
+"""Poses in the plane and commands, from messages and quaternions; poses of two programs."""
 
 import math
 from collections.abc import Collection, Mapping, Sequence
@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.display import describe_count
 from turtlelog.errors import LogError
 from turtlelog.run import Origin
 from turtlelog.run.angles import wrap_angle
@@ -17,6 +18,9 @@ Fields = Mapping[str, NDArray[Any]]
 
 ROWS_AT_ONCE: Final = 65_536
 """Number of rows that are compared or computed at once."""
+
+MOVED_M: Final = 0.1
+"""Smallest extent of a robot that moved, without jumps [m]; noise of robots at rest is smaller."""
 
 TRANSFORMS: Final = "tf2_msgs/msg/TFMessage"
 FRAME_TRANSFORM: Final = "foxglove.FrameTransform"
@@ -159,6 +163,26 @@ def read_twist(fields: Fields, prefix: str) -> dict[str, Values]:
         "lateral_speed": widen(fields[f"{prefix}linear.y"]),
         "turn_rate": widen(fields[f"{prefix}angular.z"]),
     }
+
+
+def extract_commands(kind: str, fields: Fields, *, wheelbase_m: float | None) -> dict[str, Values]:
+    """Return forward and lateral speed [m/s] and turn rate [rad/s].
+
+    A car turns with speed * tan(steering angle) / wheelbase; NaN from 90 deg on.
+    """
+    if kind in ACKERMANN_TYPES and wheelbase_m is not None:
+        drive = COMMAND_TYPES[kind]
+        speed_m_s = widen(fields[f"{drive}speed"])
+        steering_rad = widen(fields[f"{drive}steering_angle"])
+        is_aside = np.abs(steering_rad) >= np.pi / 2.0  # No car turns with a wheel at 90 deg.
+        steering_rad = np.where(is_aside, np.nan, steering_rad)
+        return {
+            "speed": speed_m_s,
+            "lateral_speed": np.zeros_like(speed_m_s),
+            "turn_rate": speed_m_s * np.tan(steering_rad) / wheelbase_m,
+        }
+    prefix = COMMAND_TYPES.get(kind)
+    return read_twist(fields, (find_twist(fields) or "") if prefix is None else prefix)
 
 
 def _turn_quaternions(fields: Fields, orientation: str) -> dict[str, Values]:
@@ -336,119 +360,77 @@ def wrap_far_headings(heading_rad: Values) -> tuple[Values, int]:
     return np.where(far, wrap_angle(heading_rad), heading_rad), int(far.sum())
 
 
-MOVED_M: Final = 0.1
-"""Smallest extent of a robot that moved, without jumps [m]; noise of robots at rest is smaller."""
+_LEAP_M: Final = 0.1
+"""Smallest step of a leap [m]; the noise of a filter between two poses is smaller."""
 
-_PIECES: Final = 100
-"""Number of pieces of a path whose directions are compared with headings."""
+_LEAP_BACK: Final = 0.2
+"""Largest distance of a later pose from the start of the leap, as a share of the leap."""
 
-_STRAIGHT: Final = 0.5
-"""Smallest distance between the ends of a piece, as a share of its length, of a moving robot."""
+_LEAP_SHARE: Final = 0.2
+"""Smallest share of poses, or steps, that leap if two programs publish poses. One program may
+publish only every fourth pose; a tenth of the poses of pure noise leap and return."""
 
-_STEADY: Final = 0.5
-"""Smallest mean cosine of twice the change of direction between pieces; it is 0 for noise."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Travel:
-    """Directions of travel along pieces of a path.
-
-    Attributes:
-        firsts: First row of each piece, shape (n,).
-        lasts: Last row of each piece.
-        course_rad: Direction from the first to the last row, counter-clockwise from +x [rad].
-        length_m: Distance between them [m].
-    """
-
-    firsts: NDArray[np.int64]
-    lasts: NDArray[np.int64]
-    course_rad: Values
-    length_m: Values
+_LEAP_ROWS: Final = 4
 
 
-def find_travel(xy_m: Values) -> Travel | None:
-    """Return the directions of travel; None if the robot hardly moves, or scatters."""
-    with np.errstate(over="ignore", invalid="ignore"):  # lengths beyond 1e154 overflow
-        along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy_m, axis=0).T))])
-        if not np.isfinite(along_m[-1] * _PIECES):
-            return None
-    edges = np.searchsorted(along_m, np.linspace(0.0, along_m[-1], _PIECES + 1))
-    edges = np.unique(np.minimum(edges, len(along_m) - 1))
-    ways_m = np.diff(xy_m[edges], axis=0)
-    length_m = np.hypot(*ways_m.T)
-    is_straight = length_m > _STRAIGHT * np.diff(along_m[edges])
-    if is_straight.sum() < 2 or float(np.ptp(xy_m, axis=0).max()) < MOVED_M:
+def describe_leaps(xy_m: Values) -> str | None:
+    """Return a sentence on poses, as received, that alternate between two places; else None."""
+    rows = len(xy_m) - _LEAP_ROWS
+    if rows < _LEAP_ROWS:
         return None
-    course_rad = np.arctan2(ways_m[:, 1], ways_m[:, 0])[is_straight]
-    if float(np.cos(2.0 * np.diff(course_rad)).mean()) < _STEADY:
+    far_m = np.hypot(*(xy_m[1 : 1 + rows] - xy_m[:rows]).T)
+    least_m = np.full(rows, np.inf)
+    for later in range(2, _LEAP_ROWS + 1):
+        np.minimum(least_m, np.hypot(*(xy_m[later : later + rows] - xy_m[:rows]).T), out=least_m)
+    leaps = (far_m > _LEAP_M) & (least_m < _LEAP_BACK * far_m)
+    if leaps.mean() <= _LEAP_SHARE:
         return None
-    return Travel(
-        firsts=edges[:-1][is_straight],
-        lasts=edges[1:][is_straight],
-        course_rad=course_rad,
-        length_m=length_m[is_straight],
+    size_m = float(np.median(far_m[leaps]))
+    return (
+        f"poses leap to and fro by {size_m:.3g} m, {describe_count(int(leaps.sum()), 'time')}: two"
+        " programs seem to publish them, and no motion can be told"
     )
 
 
-def _measure_misfit(travel: Travel, heading_rad: Values) -> float:
-    """Return the mean angle of headings to the line of travel [rad]; random ones give pi/4."""
-    sums = np.concatenate([[0.0], np.cumsum(np.exp(1j * heading_rad))])
-    mean_rad = np.angle(sums[travel.lasts + 1] - sums[travel.firsts])
-    off_rad = np.abs(np.angle(np.exp(2j * (mean_rad - travel.course_rad)))) / 2.0
-    return float(np.average(off_rad, weights=travel.length_m))
+_LEAST_LEAP_M: Final = 0.01
+"""Smallest leap of a driving robot [m]; a filter's noise, and rounding, are smaller."""
+
+_ROWS: Final = 4
+"""Number of poses on either side that give the robot's motion. Leaps cancel out in them."""
+
+_OPPOSITE: Final = 0.9
+"""Cosine of the angle between a leap and the reverse of the next (26 deg) from which they agree."""
+
+_MOST_LEAPS: Final = 0.8
+"""Smallest share of leaps that the next leap reverses; for noise in any direction it is below
+0.5."""
+
+_FAR: Final = 5.0
+"""Smallest motion in leaps: a robot at rest may alternate between two rounded positions."""
 
 
-_WELL_RAD: Final = 0.2
-"""Largest misfit of headings that fit the travel [rad]: noise, and a robot that slips sideways."""
-
-_TURNED_DEG: Final = 30.0
-"""Smallest range of headings that shows degrees [deg]; no path turns by so many radians."""
-
-CURVED_RAD: Final = 0.5
-"""Smallest range of directions that shows how headings count [rad]; one direction fits any
-offset."""
-
-_FOLLOWED: Final = 0.5
-"""Largest misfit of few degrees, as a share of that of one direction, which fits a straight path:
-headings follow the turns."""
-
-_BADLY_RAD: Final = 0.5
-"""Misfit from which headings contradict the travel [rad]: no robot on wheels slips by 30 deg."""
-
-
-def fits_degrees(xy_m: Values, headings: Values) -> bool:
-    """Return whether the direction of travel shows that headings are in degrees, not in radians."""
-    known = np.isfinite(xy_m).all(axis=1) & np.isfinite(headings)
-    xy_m, headings = xy_m[known], headings[known]
-    travel = find_travel(xy_m) if len(headings) > 1 else None
-    if travel is None:
-        return False
-    in_deg, in_rad = (_measure_misfit(travel, one) for one in (np.radians(headings), headings))
-    if np.ptp(headings) >= _TURNED_DEG:
-        return in_deg <= _WELL_RAD and in_deg < in_rad
-    middle_rad = np.full(len(headings), np.angle(np.exp(2j * travel.course_rad).sum()) / 2.0)
-    follows = in_deg <= _FOLLOWED * _measure_misfit(travel, middle_rad)
-    return follows and in_deg <= _WELL_RAD and in_rad > _BADLY_RAD
-
-
-def describe_headings(xy_m: Values, heading_rad: Values, *, column: str, is_assumed: bool) -> str:
-    """Return a sentence on headings that contradict the direction of travel; else nothing.
-
-    The name of their column is empty if rotations are quaternions; radians may be assumed.
-    """
-    travel = find_travel(xy_m) if len(xy_m) > 1 else None
-    if travel is None or (misfit_rad := _measure_misfit(travel, heading_rad)) <= _BADLY_RAD:
-        return ""
-    off = f"{math.degrees(misfit_rad):.0f} deg"
-    found = f"headings and direction of travel differ by {off} on average"
-    ways = (("deg", 1.0), ("compass", -1.0)) if is_assumed else (("compass", -1.0),)
-    scale = math.pi / 180.0 if is_assumed else 1.0
-    turned_rad = float(np.ptp(np.unwrap(travel.course_rad, period=math.pi)))
-    for unit, sign in ways if column and turned_rad >= CURVED_RAD else ():
-        other_rad = sign * scale * heading_rad + (0.0 if unit == "deg" else math.pi / 2.0)
-        if _measure_misfit(travel, other_rad) <= _WELL_RAD:
-            words = "degrees" if unit == "deg" else "a compass (0 is north, clockwise)"
-            return f"{found}, but fit {words}: --column heading='{column} [{unit}]'"
-    read = " (assumed in rad)" if is_assumed else ""
-    course = "; --column heading=course takes the travel instead" if column else ""
-    return f"{found}: the robot drives sideways, or the headings{read} are wrong{course}"
+def describe_small_leaps(xy_m: Values) -> str | None:
+    """Return a sentence on poses of two programs that are a few centimetres apart; else None."""
+    # Messages that were recorded twice add steps of 0.
+    xy_m = xy_m[np.append(True, (np.diff(xy_m, axis=0) != 0.0).any(axis=1))]
+    if len(xy_m) <= 4 * _ROWS:
+        return None
+    drive_m = (xy_m[2 * _ROWS :] - xy_m[: -2 * _ROWS]) / (2 * _ROWS)
+    steps_m = np.diff(xy_m, axis=0)[_ROWS - 1 : _ROWS - 1 + len(drive_m)]
+    beyond_m = steps_m - drive_m
+    size_m = np.hypot(*beyond_m.T)
+    least_m = max(_LEAST_LEAP_M, 0.5 * float(np.quantile(size_m, 0.9)))
+    leaps = np.flatnonzero(size_m > least_m)
+    if len(leaps) < max(_LEAP_SHARE * len(size_m), 2):
+        return None
+    unit = beyond_m[leaps] / size_m[leaps, np.newaxis]
+    is_back = -(unit[1:] * unit[:-1]).sum(axis=1) >= _OPPOSITE
+    leap_m = float(np.median(size_m[leaps]))
+    driven_m = float(np.hypot(*np.diff(xy_m[:: 2 * _ROWS], axis=0).T).sum())
+    if is_back.mean() <= _MOST_LEAPS or driven_m < _FAR * leap_m:
+        return None
+    return (
+        f"poses go to and fro by {leap_m:.3g} m, {describe_count(len(leaps), 'time')}, beside the"
+        " way: two programs seem to publish them; a reported speed is more likely right than"
+        " differences of poses"
+    )

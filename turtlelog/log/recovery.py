@@ -18,7 +18,15 @@ from turtlelog.log.engine.opening import Damaged, open_damaged, open_place
 from turtlelog.log.engine.records import take_apart
 from turtlelog.log.engine.source import FileSummary, salvage_summary
 from turtlelog.log.engine.sqlite_file import describe_sqlite_error, measure_pages
-from turtlelog.log.engine.sqlite_source import Row, SqliteRows, SqliteSource
+from turtlelog.log.engine.sqlite_source import (
+    FIRST_ROW,
+    Row,
+    SqliteRows,
+    SqliteSource,
+    build_query,
+    find_next_row,
+    read_row,
+)
 from turtlelog.log.engine.walk import Section, walk_sections
 from turtlelog.log.file_access import Loss, create_folder, name_file, replace_when_complete
 from turtlelog.log.file_info import METADATA_FILE, describe_bag
@@ -318,9 +326,8 @@ def _count_missing(
 _BATCH: Final = 4096  # rows
 _BATCH_BYTES: Final = 2**22
 _MOST_NAMED: Final = 10_000  # invalid rows that are listed with their reasons
-_LEAST, _MOST = -(2**63), 2**63 - 1  # smallest and largest row number
 
-_BEFORE: Final = _LEAST - 1
+_BEFORE: Final = FIRST_ROW - 1
 """Row number before the first row. The smallest number itself may belong to a row."""
 
 
@@ -383,12 +390,12 @@ def _walk_rows(source: SqliteSource) -> Iterator[Row | str]:
             yield str(err)
             return
         # The cursor reads one row ahead: the row that it would return next may be valid.
-        row = _read_row(source, last)
+        row = read_row(source, last)
         if row:
             yield row
             last = int(row[0])
         elif row is None:
-            after = _find_next(source, last)
+            after = find_next_row(source, last)
             since = "the first row" if last == _BEFORE else f"row {last + 1}"
             until = "the last" if after is None else f"row {after - 1}"
             yield f"messages from {since} to {until}: {describe_sqlite_error(error)}"
@@ -405,7 +412,7 @@ def _walk_sound(
     import sqlite3
 
     try:
-        for row in source.execute(_build_query(source), last + 1):
+        for row in source.execute(build_query(source), last + 1):
             if row[0] <= last:
                 return last, sqlite3.DatabaseError("rows out of order")
             last = row[0]
@@ -413,40 +420,3 @@ def _walk_sound(
     except sqlite3.Error as err:
         return last, err
     return last, None
-
-
-def _build_query(source: SqliteSource) -> str:
-    number = source.row_number
-    return (
-        f"SELECT {number}, topic_id, timestamp, data FROM messages NOT INDEXED"
-        f" WHERE {number} >= ? ORDER BY {number}"
-    )
-
-
-def _read_row(source: SqliteSource, after: int) -> Row | None:
-    """Return the first row after another row; () after the last row, None if it cannot be read."""
-    import sqlite3
-
-    if after == _MOST:
-        return ()
-    try:
-        found: Row | None = source.execute(f"{_build_query(source)} LIMIT 1", after + 1).fetchone()
-    except sqlite3.Error:
-        return None
-    return () if found is None else found
-
-
-def _find_next(source: SqliteSource, after: int) -> int | None:
-    """Return the number of the first readable row after a gap; None if no such row exists."""
-    lost = max(after, 0)
-    step, found = 1, None
-    while lost + step <= _MOST and (found := _read_row(source, lost + step)) is None:
-        step *= 2
-    if found is None:
-        return None
-    least, most = step // 2, step  # the row after `least` is lost, the row after `most` is not
-    while most - least > 1:
-        middle = (least + most) // 2
-        nearer = _read_row(source, lost + middle)
-        least, most, found = (middle, most, found) if nearer is None else (least, middle, nearer)
-    return int(found[0]) if found else None

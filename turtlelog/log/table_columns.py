@@ -1,73 +1,18 @@
-"""The quantities and units of table columns, by name or as requested; cells as times."""
+"""The columns of a table by quantity, by name or as requested, and the robots that they name."""
 
-import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime, timedelta
-from decimal import Decimal, InvalidOperation
 from itertools import islice
-from typing import Any, Final, Literal
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.display import join_words
 from turtlelog.errors import LogError
-
-Quantity = Literal["time", "length", "angle", "speed", "turn_rate", "number"]
-
-QUANTITIES: Final[Mapping[str, Quantity]] = {
-    **dict.fromkeys(("t", "t_nanosec"), "time"),
-    **dict.fromkeys("xyz", "length"),
-    "heading": "angle",
-    **dict.fromkeys(("qx", "qy", "qz", "qw"), "number"),
-    "speed": "speed",
-    "turn_rate": "turn_rate",
-    "command_speed": "speed",
-    "command_turn_rate": "turn_rate",
-}
-"""Quantities of a table by field; `speed` and `turn_rate` are measured values of the robot."""
-
-UNITS: Final[Mapping[Quantity, Mapping[str, float]]] = {
-    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
-    "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
-    "angle": {"rad": 1.0, "deg": math.pi / 180.0, "compass": -math.pi / 180.0},
-    "speed": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1.0 / 3.6},
-    "turn_rate": {"rad/s": 1.0, "deg/s": math.pi / 180.0, "rpm": math.pi / 30.0},
-    "number": {"1": 1.0},
-}
-"""Units by quantity, the standard unit first, each with its factor to the standard unit.
-
-An angle of a compass [deg] is 0 to the north, which is +y, and clockwise."""
-
-
-NORTH_RAD: Final = math.pi / 2.0
-"""Heading of a robot to the north, +y [rad]."""
-
-TIME_POWERS: Final = {"s": 9, "ms": 6, "us": 3, "ns": 0}
-"""Units of time as powers of ten, in nanoseconds."""
-
-_SPELLINGS: Final[Mapping[str, str]] = {
-    **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), "s"),
-    **dict.fromkeys(("ms", "msec", "millis", "milliseconds"), "ms"),
-    **dict.fromkeys(("us", "usec", "micros", "microseconds", "µs", "μs"), "us"),
-    **dict.fromkeys(("ns", "nsec", "nsecs", "nanos", "nanosec", "nanoseconds"), "ns"),
-    **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), "m"),
-    **{name: name for name in ("cm", "mm", "rpm", "1", "compass")},
-    **dict.fromkeys(("rad", "rads", "radian", "radians"), "rad"),
-    **dict.fromkeys(("deg", "degs", "degree", "degrees", "°"), "deg"),
-    **dict.fromkeys(("m/s", "m_s", "mps", "m_per_s"), "m/s"),
-    **dict.fromkeys(("cm/s", "cm_s"), "cm/s"),
-    **dict.fromkeys(("mm/s", "mm_s"), "mm/s"),
-    **dict.fromkeys(("km/h", "km_h", "kmh", "kph"), "km/h"),
-    **dict.fromkeys(("rad/s", "rad_s", "radps", "rad_per_s", "rads/s"), "rad/s"),
-    **dict.fromkeys(("deg/s", "deg_s", "degps", "dps", "deg_per_s", "°/s"), "deg/s"),
-}
-"""Common spellings of units."""
-
-_DATES: Final = frozenset({"utc", "gmt", "date", "datetime", "iso", "iso8601", "iso 8601"})
-"""Texts in a row of units above times that need no unit."""
+from turtlelog.log.table_files import KITTI_COLUMNS, PlainTable
+from turtlelog.log.units import DATES, QUANTITIES, UNITS, read_unit
 
 _NAMES: Final[Mapping[str, str]] = {
     "t": "t time timestamp timestamps stamp header_stamp header_stamp_sec header_stamp_secs"
@@ -186,8 +131,8 @@ def _fill_unit(choice: Choice, text: str) -> Choice:
     text = text.strip("[]() ")
     if choice.unit is not None or not text or QUANTITIES[choice.field] == "number":
         return choice
-    unit = _read_unit(choice.field, text)
-    if unit is None and choice.field == "t" and text.lower() in _DATES:
+    unit = read_unit(choice.field, text)
+    if unit is None and choice.field == "t" and text.lower() in DATES:
         return choice
     if unit is None:
         known = ", ".join(choice.units)
@@ -196,6 +141,53 @@ def _fill_unit(choice: Choice, text: str) -> Choice:
             f" --column {choice.field}='{choice.name} [UNIT]' names one"
         )
     return replace(choice, unit=unit)
+
+
+QUATERNION: Final = ("qx", "qy", "qz", "qw")
+
+_PLANAR: Final = ("qz", "qw")
+"""Columns of a quaternion about the vertical axis; x and y are 0 if no column has them."""
+
+COURSE: Final = "course"
+"""Name that asks for the direction of travel instead of a column of headings."""
+
+_NEEDED: Final = ("t", "x", "y", "heading")
+
+_SHOWN_NAMES: Final = 12
+"""Largest number of columns that an error lists."""
+
+
+def require_columns(
+    table: PlainTable, chosen: Mapping[str, Choice], robots: Sequence[str], *, has_courses: bool
+) -> None:
+    """Raise an error with options if columns of a run are missing."""
+    is_turned = has_courses or has_quaternion(chosen)
+    known = {*chosen, "heading"} if is_turned else {*chosen}
+    if missing := [name for name in _NEEDED if name not in known]:
+        if {"row", "failed"} <= {*table.names}:
+            raise LogError("a table of turtlelog sweep, not a run: turtlelog plot shows it")
+        if {"file", "sha256", "error"} <= {*table.names}:
+            raise LogError(
+                "results of turtlelog metrics or check, not a run: its column file names the runs"
+            )
+        if table.names == KITTI_COLUMNS and not table.has_header:
+            raise LogError(
+                "a KITTI trajectory has no times, so it is no run; turtlelog compare FILE"
+                " --reference FILE --ate compares two of them"
+            )
+        shown = range(min(len(table.names), _SHOWN_NAMES))
+        found = ", ".join(show_column(table.names, place) for place in shown)
+        more = ", ..." if len(table.names) > _SHOWN_NAMES else ""
+        offered = "" if missing == ["t"] else offer_robots(robots)  # all robots have the others
+        options = offered or f"--column {missing[0]}='NAME [UNIT]' says which"
+        if missing == ["heading"] and not offered:
+            options += f", or --column heading={COURSE} takes the direction of travel"
+        raise LogError(f"no column for {join_words(missing)}; there are {found}{more}: {options}")
+
+
+def has_quaternion(chosen: Mapping[str, Choice]) -> bool:
+    """Return whether the columns are all those of a quaternion, at least about the vertical."""
+    return {*QUATERNION}.intersection(chosen) in ({*QUATERNION}, {*_PLANAR})
 
 
 def describe_unread_commands(names: Sequence[str], chosen: Mapping[str, Choice]) -> str:
@@ -287,7 +279,7 @@ def _find_asked(field: str, text: str, names: Sequence[str]) -> Choice:
     readings: list[tuple[str, str | None]] = [(text.strip(), None)]
     bracketed = re.fullmatch(r"(.*?)\s*\[([^\]]*)\]", text.strip())
     if bracketed is not None and text.strip() not in map(str.strip, names):  # as q[0] is
-        given = _read_unit(field, bracketed[2])
+        given = read_unit(field, bracketed[2])
         if given is None:
             known, found = ", ".join(UNITS[QUANTITIES[field]]), bracketed[2]
             raise LogError(f"--column {field}={text}: expected a unit of {known}, found {found}")
@@ -423,11 +415,11 @@ def _split_name(field: str, name: str, *, is_asked: bool = False) -> tuple[str, 
     if QUANTITIES[field] == "number" and _rank(field, _simplify(text)) is not None:
         return _simplify(text), None  # q[1] has no unit
     match = re.fullmatch(r"(.*?)\s*[\[(]([^\])]*)[\])]", text)
-    if match is not None and (unit := _read_unit(field, match[2])) is not None:
+    if match is not None and (unit := read_unit(field, match[2])) is not None:
         return _simplify(match[1]), unit
     words = _simplify(text).split("_")
     for count in range(min(3, len(words) - 1), 0, -1):  # deg_per_s, m_s, rad
-        unit, rest = _read_unit(field, "_".join(words[-count:])), "_".join(words[:-count])
+        unit, rest = read_unit(field, "_".join(words[-count:])), "_".join(words[:-count])
         if unit is not None and (is_asked or _rank(field, rest) is not None):
             return rest, unit
     return "_".join(words), None
@@ -445,92 +437,3 @@ def read_length_unit(axis: str, name: str) -> float:
         known = ", ".join(UNITS["length"])
         raise LogError(f"column {name}: expected a unit of {known}, found {bracketed[1][:40]!r}")
     return UNITS["length"][unit or "m"]
-
-
-def _read_unit(field: str, text: str) -> str | None:
-    """Return the unit of a field; None if the text is not one of its units."""
-    plain = text.strip().lower().replace(" ", "").replace("^-1", "").replace("·", "_")
-    quantity = QUANTITIES[field]
-    if quantity == "speed" and plain == "ms":  # a speed is never in milliseconds
-        return "m/s"
-    unit = _SPELLINGS.get(plain)
-    return unit if unit in UNITS[quantity] else None
-
-
-def is_row_of_units(cells: Sequence[str]) -> bool:
-    """Return whether cells below a header are units: no number or time, and a known unit."""
-    if any(DATE.match(cell) or read_time(cell, 0) is not None for cell in cells):
-        return False
-    return any(cell.strip("[]() ").lower() in _SPELLINGS for cell in cells)
-
-
-_LATEST_NS: Final = 2**62
-_MOST_DIGITS: Final = 20  # digits before the point; nanoseconds of 64 bits have no more
-DATE: Final = re.compile(
-    r"\s*+(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(?:[.,](\d++))?"
-    r"\s*+(Z|[+-]\d\d:?\d\d)?\s*+\Z",
-    re.ASCII,
-)
-
-
-EPOCHS: Final = ((1e18, "ns"), (1e15, "us"), (1e12, "ms"), (1e9, "s"))
-"""Smallest time since 1970 in each unit. The ranges last from 2001 to 2286."""
-
-_LONGEST_STEP: Final = 1000.0
-"""Largest usual step between rows that is read as seconds if the unit is unknown [s]."""
-
-
-def guess_time_unit(name: str, numbers: NDArray[np.float64]) -> tuple[str, bool]:
-    """Return the unit of the times in a column, and whether they are since 1970."""
-    for least, unit in EPOCHS:
-        if least <= numbers[0] < 10 * least:
-            return unit, True
-    step = float(np.median(np.abs(np.diff(numbers)))) if len(numbers) > 1 else 0.0
-    if step > _LONGEST_STEP:
-        units = UNITS["time"]  # the steps of most tables are near 0.05 s
-        unit = min(units, key=lambda unit: abs(math.log10(step * units[unit] / 0.05)))
-        raise LogError(
-            f"column {name}: expected a time with its unit, found steps of {step:g}, which are no"
-            f" seconds: --column t='{name} [{unit}]' names the unit (s, ms, us, ns)"
-        )
-    return "s", False
-
-
-def read_time(cell: Any, power: int) -> int | None:
-    """Return a time in a unit of 10**power ns as exact nanoseconds; None if it is not a number."""
-    try:
-        number = Decimal(str(cell))
-    except InvalidOperation:
-        return None
-    if not number.is_finite() or number.adjusted() > _MOST_DIGITS:
-        return None
-    time_ns = round(number.scaleb(power))
-    return time_ns if abs(time_ns) <= _LATEST_NS else None
-
-
-_CLOCK: Final = re.compile(r"\s*(\d{1,2}):([0-5]\d):([0-5]\d)(?:[.,](\d+))?\s*\Z", re.ASCII)
-"""A time of the day, `23:59:50.25`."""
-
-
-def read_clock(cell: str) -> int | None:
-    """Return a time of the day as nanoseconds since midnight; None for other texts."""
-    if (match := _CLOCK.match(cell)) is None:
-        return None
-    seconds = (int(match[1]) * 60 + int(match[2])) * 60 + int(match[3])
-    return seconds * 1_000_000_000 + int((match[4] or "0")[:9].ljust(9, "0"))
-
-
-def read_date(cell: str) -> int | None:
-    """Return an ISO 8601 time, by default of UTC, as nanoseconds since 1970; None for others."""
-    if (match := DATE.match(cell)) is None:
-        return None
-    try:
-        at = datetime.fromisoformat(f"{match[1]}T{match[2]}{match[4] or '+00:00'}")
-    except ValueError:
-        return None
-    seconds = (at - datetime(1970, 1, 1, tzinfo=UTC)) // timedelta(seconds=1)
-    return seconds * 1_000_000_000 + int((match[3] or "0")[:9].ljust(9, "0"))
-
-
-TIMES: Final = ((DATE, read_date, "date"), (_CLOCK, read_clock, "time of the day"))
-"""Texts of times: their pattern, their reader, and what they are."""

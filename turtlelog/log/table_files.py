@@ -21,7 +21,7 @@ from turtlelog.log.engine.limits import count_most_rows, describe_rows
 from turtlelog.log.file_access import decode_text, name_file, open_file, replace_when_complete
 from turtlelog.log.parquet_file import ParquetFile, list_cells
 from turtlelog.log.planar_poses import compute_heading
-from turtlelog.log.table_columns import is_row_of_units
+from turtlelog.log.units import is_row_of_units
 from turtlelog.run import Lost, Run
 from turtlelog.run.angles import wrap_angle
 

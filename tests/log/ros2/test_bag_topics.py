@@ -29,9 +29,9 @@ from tests.log.ros2.robots import (
 from tests.log.runs import find_shared
 from turtlelog.errors import LogError
 from turtlelog.log import TopicInfo, read_run
+from turtlelog.log.planar_poses import describe_leaps
 from turtlelog.log.read_choice import ReadChoice
-from turtlelog.log.ros2.bag_inputs import choose_command_topic, choose_commands
-from turtlelog.log.ros2.bag_rows import describe_leaps
+from turtlelog.log.ros2.bag_commands import choose_command_topic, choose_commands
 from turtlelog.log.ros2.bag_topics import choose_pose_topic
 
 

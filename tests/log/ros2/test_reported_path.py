@@ -14,7 +14,7 @@ from tests.cli.test_commands_alone import say_twist
 from tests.log.ros2.bags import START_NS, Said, make_vector
 from tests.log.ros2.robots import describe_head, describe_place, turn, write_robot
 from tests.log.runs import find_shared
-from turtlelog.log.ros2.bag_rows import describe_small_leaps
+from turtlelog.log.planar_poses import describe_small_leaps
 from turtlelog.log.ros2.reported_motion import (
     LATERAL,
     SPEED,

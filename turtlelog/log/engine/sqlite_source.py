@@ -400,3 +400,46 @@ def _require_texts(place: str, columns: Sequence[str], values: Sequence[object])
             shown = value[:60] if isinstance(value, bytes) else value
             found = "NULL" if value is None else repr(shown)[:60]
             raise LogError(f"{place}: {column}: expected text, found {found}")
+
+
+FIRST_ROW: Final = -(2**63)
+LAST_ROW: Final = 2**63 - 1
+"""Smallest and largest number of a row in SQLite."""
+
+
+def build_query(source: SqliteSource) -> str:
+    """Return the query for the rows of messages from a row number on, in order."""
+    number = source.row_number
+    return (
+        f"SELECT {number}, topic_id, timestamp, data FROM messages NOT INDEXED"
+        f" WHERE {number} >= ? ORDER BY {number}"
+    )
+
+
+def read_row(source: SqliteSource, after: int) -> Row | None:
+    """Return the first row after another row; () after the last row, None if it cannot be read."""
+    import sqlite3
+
+    if after == LAST_ROW:
+        return ()
+    try:
+        found: Row | None = source.execute(f"{build_query(source)} LIMIT 1", after + 1).fetchone()
+    except sqlite3.Error:
+        return None
+    return () if found is None else found
+
+
+def find_next_row(source: SqliteSource, after: int) -> int | None:
+    """Return the number of the first readable row after a gap; None if no such row exists."""
+    lost = max(after, 0)
+    step, found = 1, None
+    while lost + step <= LAST_ROW and (found := read_row(source, lost + step)) is None:
+        step *= 2
+    if found is None:
+        return None
+    least, most = step // 2, step  # the row after `least` is lost, the row after `most` is not
+    while most - least > 1:
+        middle = (least + most) // 2
+        nearer = read_row(source, lost + middle)
+        least, most, found = (middle, most, found) if nearer is None else (least, middle, nearer)
+    return int(found[0]) if found else None

@@ -1,9 +1,9 @@
+from .bag_commands import (
+    choose_command_topic as choose_command_topic,
+)
 from .bag_files import (
     list_bag_files as list_bag_files,
     read_bag_info as read_bag_info,
-)
-from .bag_inputs import (
-    choose_command_topic as choose_command_topic,
 )
 from .bag_poses import (
     read_bag_trajectory as read_bag_trajectory,

@@ -9,7 +9,7 @@ from typing import Any, Final, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.display import describe_count, format_utc
+from turtlelog.display import format_utc
 from turtlelog.errors import LogError
 from turtlelog.laws.sequential_p import DECLARATION as SEQUENTIAL_P
 from turtlelog.log.engine.opening import strip_suffixes
@@ -34,7 +34,7 @@ from turtlelog.log.recording.topics import (
     SENSED,
     SHAPED,
 )
-from turtlelog.log.ros2 import bag_inputs
+from turtlelog.log.ros2 import bag_commands
 from turtlelog.log.ros2.bag_poses import (
     PoseSource,
     RobotTrack,
@@ -48,6 +48,8 @@ from turtlelog.log.ros2.bag_rows import (
     Bag,
     Held,
     OrderedRows,
+    add_rows,
+    note_lost,
     open_bag,
     time_rows,
 )
@@ -105,7 +107,7 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
             run, topic = _read_commands_alone(bag, distinct, choice, err)
             named = describe_robots(robots, topic, choice.robot)
             return _note_rest(run, bag, distinct, choice, named)
-        commands, lack = bag_inputs.find_commands(bag, distinct, choice, pose_topic=source.home)
+        commands, lack = bag_commands.find_commands(bag, distinct, choice, pose_topic=source.home)
         names = {commands.topic.topic} if commands else set()
         if source.topic.topic == POSE.name:
             names |= {topic.topic for topic in distinct if (topic.topic, topic.type) == _SENSED}
@@ -119,9 +121,9 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
         run = note_steps(run, bag.steps)
         run = replace(run, notes={**run.notes, "commands": lack}) if lack else run
         if commands is not None and choice.command_topic is None:
-            doubt = bag_inputs.describe_other_robot(source.home, commands.topic.topic)
+            doubt = bag_commands.describe_other_robot(source.home, commands.topic.topic)
             run = replace(run, notes={**run.notes, "other_robot": doubt}) if doubt else run
-        run = bag_inputs.add_references(run, bag, source, track, choice)
+        run = bag_commands.add_references(run, bag, source, track, choice)
         if source.topic.topic == POSE.name:
             run = _add_samples(run, bag, int(track.time_ns[0] - run.poses.time_ns[0]))
     # In transforms, the name of a robot may occur in the frames alone.
@@ -191,7 +193,7 @@ def _build_run(
     poses, dropped, unturned, vertical = order_poses(found, source.topic)
     commands, lost = None, 0
     if command_pick is not None:
-        commands, lost = bag_inputs.order_commands(found, command_pick.topic, choice)
+        commands, lost = bag_commands.order_commands(found, command_pick.topic, choice)
     track = RobotTrack(
         time_ns=poses.time_ns,
         received_ns=poses.time_ns,
@@ -213,13 +215,13 @@ def _build_run(
     time_ns, moved = separate_times(poses.time_ns - start_ns)
     heading_rad, wrapped = wrap_far_headings(poses.columns["heading"])
     changes = {"moved_rows": str(moved), "wrapped_headings": str(wrapped)}
-    changes |= _note_lost({"pose": dropped, "command": lost}, unturned)
+    changes |= note_lost({"pose": dropped, "command": lost}, unturned)
     others = source.notes.get("other_pose_topics")
     has_courses |= source.origin.has_courses
     motion = note_motion(poses, columns, track.xy_m, commands, vertical=vertical, others=others)
     has_headings = not has_courses and not motion.leaves_plane
     origin = replace(
-        _add_rows(source.origin, tables, start_ns),
+        add_rows(source.origin, tables, start_ns),
         commands=None if command_pick is None else command_pick.source,
         has_leaps=motion.has_leaps,
         has_courses=has_courses,
@@ -251,8 +253,20 @@ def _build_run(
         **match_sensed(found, track.time_ns, moved),
         **lift_poses(columns.get("z"), columns.get("tilt")),
     )
-    command_columns = bag_inputs.build_bag_commands(commands, start_ns)
+    command_columns = _build_commands(commands, start_ns)
     return _join_run(path, pose_columns, command_columns, times.clock, origin, notes), track
+
+
+def _build_commands(rows: OrderedRows | None, start_ns: int) -> CommandColumns:
+    """Return commands as columns of a run, with times from its start."""
+    if rows is None:
+        return CommandColumns.build_empty()
+    return CommandColumns(
+        time_ns=rows.time_ns - start_ns,
+        speed_m_s=rows.columns["speed"],
+        lateral_speed_m_s=rows.columns["lateral_speed"],
+        turn_rate_rad_s=rows.columns["turn_rate"],
+    )
 
 
 def _join_run(
@@ -281,24 +295,6 @@ def _join_run(
     )
 
 
-def _add_rows(origin: Origin, tables: Sequence[OrderedRows], start_ns: int) -> Origin:
-    """Return an origin with the start of its rows, and the numbers of sorted and dropped ones."""
-    return replace(
-        origin,
-        began_ns=start_ns,
-        start_ns=start_ns,
-        sorted_rows=sum(rows.late for rows in tables),
-        dropped_duplicates=sum(rows.duplicates for rows in tables),
-    )
-
-
-def _note_lost(lost: Mapping[str, int], unturned: int = 0) -> dict[str, str]:
-    """Return a note on rows without finite numbers, `unturned` of them poses without a heading."""
-    counts = [describe_count(count, kind) for kind, count in lost.items() if count]
-    without = f", {unturned} of the poses without a heading" if unturned else ""
-    return {"dropped_nan": f"{' and '.join(counts)}{without}"} if counts else {}
-
-
 _NEVER_IN_BAGS: Final = (
     *("samples", "goal_xy_m", "goal_heading_rad", "parameters", "stop_reason", "events"),
 )
@@ -309,7 +305,7 @@ def _read_commands_alone(
     bag: Bag, topics: Sequence[TopicInfo], choice: ReadChoice, err: NoPosesError
 ) -> tuple[Run, str]:
     """Return the run of a bag that contains commands but no poses, and the topic's name."""
-    pick, lack = bag_inputs.choose_commands(topics, choice, pose_topic="")
+    pick, lack = bag_commands.choose_commands(topics, choice, pose_topic="")
     if pick is None:
         raise NoPosesError(f"no poses; {lack}") if lack else err
     if not choice.allow_no_poses:
@@ -324,7 +320,7 @@ def _read_commands_alone(
             raise LogError(f"{name}: expected poses, found commands alone on {pick.topic.topic}")
     found: Held = [dict(of_file) for of_file in bag.read({pick.topic.topic})]
     bag = bag.find_steps(found, pick.topic.topic)
-    rows, dropped = bag_inputs.order_commands(bag.undo_steps(found), pick.topic, choice)
+    rows, dropped = bag_commands.order_commands(bag.undo_steps(found), pick.topic, choice)
     if rows is None:
         raise LogError(
             f"topic {pick.topic.topic}: expected numbers, found nan or infinity in all"
@@ -333,16 +329,16 @@ def _read_commands_alone(
     times = time_rows(rows.stamps, None, choice.time, noun="commands")
     rows = rows.take(times.poses.rows, times.poses.time_ns)
     poses, start_ns = PoseColumns.build_empty(), int(rows.time_ns[0])
-    origin = _add_rows(Origin(commands=pick.source), [rows], start_ns)
+    origin = add_rows(Origin(commands=pick.source), [rows], start_ns)
     notes = {
         "original_timestamp": format_utc(start_ns),
         **note_changes(origin),
-        **_note_lost({"command": dropped}),
+        **note_lost({"command": dropped}),
         **times.notes,
         **describe_other_poses(topics),
         **note_pick("command_topic", pick),
     }
-    commands = bag_inputs.build_bag_commands(rows, start_ns)
+    commands = _build_commands(rows, start_ns)
     run = _join_run(bag.path, poses, commands, times.clock, origin, notes)
     return note_steps(run, bag.steps), pick.topic.topic
 

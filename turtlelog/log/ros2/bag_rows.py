@@ -1,4 +1,4 @@
-"""The rows of a bag's topics: sorted, without duplicates, finite, of one program, on one clock.
+"""The rows of a bag's topics: sorted, without duplicates, finite, on one clock.
 
 A message has its stamp, set by the publisher, and its log time, when the recorder received it. They
 differ by the offset of two clocks and the transport delay. Stamps have less jitter, but commands
@@ -37,7 +37,7 @@ from turtlelog.log.ros2.stamps import (
     place_log_times,
     read_stamp_clock,
 )
-from turtlelog.run import Clock
+from turtlelog.run import Clock, Origin
 
 Held = list[dict[str, TopicColumns]]
 """Messages by topic, for each file, in file order."""
@@ -221,6 +221,15 @@ def order_topic(
     )
 
 
+def sort_messages(messages: Sequence[TopicColumns]) -> list[tuple[int, int, int]]:
+    """Return log time [ns], file and row of every message, in order of time."""
+    return sorted(
+        (time_ns, number, row)
+        for number, columns in enumerate(messages)
+        for row, time_ns in enumerate(columns.log_time_ns.tolist())
+    )
+
+
 LARGEST: Final = 1e30
 """Largest plausible value [m, m/s, rad/s]: larger values come from memory that was never set. The
 fourth powers of smaller values, and the 32-bit numbers of pictures, are finite."""
@@ -236,80 +245,22 @@ def drop_not_finite(rows: OrderedRows, names: Collection[str]) -> tuple[OrderedR
     return rows.take(kept), int((~kept).sum())
 
 
-_LEAP_M: Final = 0.1
-"""Smallest step of a leap [m]; the noise of a filter between two poses is smaller."""
-
-_LEAP_BACK: Final = 0.2
-"""Largest distance of a later pose from the start of the leap, as a share of the leap."""
-
-_LEAP_SHARE: Final = 0.2
-"""Smallest share of poses, or steps, that leap if two programs publish poses. One program may
-publish only every fourth pose; a tenth of the poses of pure noise leap and return."""
-
-_LEAP_ROWS: Final = 4
-
-
-def describe_leaps(xy_m: Values) -> str | None:
-    """Return a sentence on poses, as received, that alternate between two places; else None."""
-    rows = len(xy_m) - _LEAP_ROWS
-    if rows < _LEAP_ROWS:
-        return None
-    far_m = np.hypot(*(xy_m[1 : 1 + rows] - xy_m[:rows]).T)
-    least_m = np.full(rows, np.inf)
-    for later in range(2, _LEAP_ROWS + 1):
-        np.minimum(least_m, np.hypot(*(xy_m[later : later + rows] - xy_m[:rows]).T), out=least_m)
-    leaps = (far_m > _LEAP_M) & (least_m < _LEAP_BACK * far_m)
-    if leaps.mean() <= _LEAP_SHARE:
-        return None
-    size_m = float(np.median(far_m[leaps]))
-    return (
-        f"poses leap to and fro by {size_m:.3g} m, {describe_count(int(leaps.sum()), 'time')}: two"
-        " programs seem to publish them, and no motion can be told"
+def add_rows(origin: Origin, tables: Sequence[OrderedRows], start_ns: int) -> Origin:
+    """Return an origin with the start of its rows, and the numbers of sorted and dropped ones."""
+    return replace(
+        origin,
+        began_ns=start_ns,
+        start_ns=start_ns,
+        sorted_rows=sum(rows.late for rows in tables),
+        dropped_duplicates=sum(rows.duplicates for rows in tables),
     )
 
 
-_LEAST_LEAP_M: Final = 0.01
-"""Smallest leap of a driving robot [m]; a filter's noise, and rounding, are smaller."""
-
-_ROWS: Final = 4
-"""Number of poses on either side that give the robot's motion. Leaps cancel out in them."""
-
-_OPPOSITE: Final = 0.9
-"""Cosine of the angle between a leap and the reverse of the next (26 deg) from which they agree."""
-
-_MOST_LEAPS: Final = 0.8
-"""Smallest share of leaps that the next leap reverses; for noise in any direction it is below
-0.5."""
-
-_FAR: Final = 5.0
-"""Smallest motion in leaps: a robot at rest may alternate between two rounded positions."""
-
-
-def describe_small_leaps(xy_m: Values) -> str | None:
-    """Return a sentence on poses of two programs that are a few centimetres apart; else None."""
-    # Messages that were recorded twice add steps of 0.
-    xy_m = xy_m[np.append(True, (np.diff(xy_m, axis=0) != 0.0).any(axis=1))]
-    if len(xy_m) <= 4 * _ROWS:
-        return None
-    drive_m = (xy_m[2 * _ROWS :] - xy_m[: -2 * _ROWS]) / (2 * _ROWS)
-    steps_m = np.diff(xy_m, axis=0)[_ROWS - 1 : _ROWS - 1 + len(drive_m)]
-    beyond_m = steps_m - drive_m
-    size_m = np.hypot(*beyond_m.T)
-    least_m = max(_LEAST_LEAP_M, 0.5 * float(np.quantile(size_m, 0.9)))
-    leaps = np.flatnonzero(size_m > least_m)
-    if len(leaps) < max(_LEAP_SHARE * len(size_m), 2):
-        return None
-    unit = beyond_m[leaps] / size_m[leaps, np.newaxis]
-    is_back = -(unit[1:] * unit[:-1]).sum(axis=1) >= _OPPOSITE
-    leap_m = float(np.median(size_m[leaps]))
-    driven_m = float(np.hypot(*np.diff(xy_m[:: 2 * _ROWS], axis=0).T).sum())
-    if is_back.mean() <= _MOST_LEAPS or driven_m < _FAR * leap_m:
-        return None
-    return (
-        f"poses go to and fro by {leap_m:.3g} m, {describe_count(len(leaps), 'time')}, beside the"
-        " way: two programs seem to publish them; a reported speed is more likely right than"
-        " differences of poses"
-    )
+def note_lost(lost: Mapping[str, int], unturned: int = 0) -> dict[str, str]:
+    """Return a note on rows without finite numbers, `unturned` of them poses without a heading."""
+    counts = [describe_count(count, kind) for kind, count in lost.items() if count]
+    without = f", {unturned} of the poses without a heading" if unturned else ""
+    return {"dropped_nan": f"{' and '.join(counts)}{without}"} if counts else {}
 
 
 def _find_duplicates(time_ns: TimesNs, contents: Sequence[NDArray[Any]]) -> NDArray[np.bool_]:

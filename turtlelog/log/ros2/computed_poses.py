@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from turtlelog.display import describe_count, format_short
 from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.planar_poses import CURVED_RAD, Values, fits_degrees
+from turtlelog.log.planar_poses import Values
 from turtlelog.log.ros2.bag_rows import OrderedRows
-from turtlelog.log.ros2.reported_motion import STRIDE_NS, thin_rows
-from turtlelog.log.ros2.stamps import TimesNs, join_arrays, join_stamps, read_stamps
+from turtlelog.log.ros2.reported_motion import STRIDE_NS
+from turtlelog.log.ros2.stamps import TimesNs, join_arrays, join_stamps, read_stamps, thin_rows
+from turtlelog.log.units import CURVED_RAD, fits_degrees
 from turtlelog.run.angles import wrap_angle
 
 _STAMP: Final = ("header.stamp.sec", "header.stamp.nanosec")

@@ -6,13 +6,19 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from turtlelog.display import format_short
-from turtlelog.log.planar_poses import MOVED_M, Values, describe_height, describe_level
-from turtlelog.log.ros2.bag_rows import OrderedRows, describe_leaps, describe_small_leaps
-from turtlelog.log.ros2.stamps import CROWDED_NS, TimesNs
-from turtlelog.log.table_columns import UNITS
+from turtlelog.log.planar_poses import (
+    MOVED_M,
+    Values,
+    describe_height,
+    describe_leaps,
+    describe_level,
+    describe_small_leaps,
+)
+from turtlelog.log.ros2.bag_rows import OrderedRows
+from turtlelog.log.ros2.stamps import TimesNs, thin_rows
+from turtlelog.log.units import UNITS, describe_units
 
 _APART: Final = 0.2
 """Share by which two path lengths must differ. Wheel odometry integrates its own speed and is
@@ -120,15 +126,6 @@ def _measure_medians(time_ns: TimesNs, xy_m: Values) -> float | None:
     middles = (starts + np.append(starts[1:], len(seconds)) - 1) // 2
     medians = np.column_stack([one[np.lexsort((one, seconds))][middles] for one in xy_m.T])
     return float(np.hypot(*np.diff(medians, axis=0).T).sum())
-
-
-def thin_rows(time_ns: TimesNs, stride_ns: int) -> NDArray[np.int64]:
-    """Return the first row at or after each multiple of a stride from the first to the last time.
-
-    The times do not decrease. They may span years if the first time was never set.
-    """
-    strides = (np.minimum(time_ns, time_ns[-1] - 1) - time_ns[0]) // stride_ns
-    return np.flatnonzero(np.diff(strides, prepend=-1) > 0)
 
 
 def describe_paths(paths: Paths, others: str | None = None) -> str | None:
@@ -391,93 +388,6 @@ class MotionFaults(NamedTuple):
     notes: dict[str, str]
     leaves_plane: bool  # whether headings and speeds are not those in the plane
     has_leaps: bool  # whether the poses alternate between two places
-
-
-_LONGEST_STEP_S: Final = 5.0
-"""Largest usual step that is not doubted if seconds are assumed [s]: satellite loggers save a pose
-every few seconds. In milliseconds, this is 200 Hz."""
-
-_FASTEST_M_S: Final = 100.0
-"""Largest usual speed that is not doubted in metres [m/s]: a racing car's, or 0.1 m/s in mm."""
-
-_CRAWL_M_S: Final = 0.01
-_LEAST_EXTENT_M: Final = 0.1
-"""Speed below which a robot crawls for all of its way, which is not within its own noise, so that
-whole numbers of seconds are doubted [m/s, m]: slower than what counts as rest."""
-
-_CURVE_NS: Final = 500_000_000
-_STRONGEST_M_S2: Final = 30.0
-"""Time over which accelerations are measured [ns], and the largest that is not doubted in a tenth
-of it [m/s^2]: 3 g, twice that of a racing kart. 0.5 m/s and 1 rad/s in cm are 50 m/s^2."""
-
-_ACCELERATED: Final = 0.9
-_FEWEST_CURVES: Final = 12
-_SECOND_NS: Final = 1_000_000_000
-
-
-def describe_units(
-    time_ns: NDArray[np.int64], xy_m: NDArray[np.float64], columns: Mapping[str, str] | None
-) -> str:
-    """Return a sentence on doubtful units of `columns` in assumed s and m; empty without doubt.
-
-    The metres of a bag are doubted without columns.
-    """
-    step_s = np.diff(time_ns) / 1e9
-    if not len(step_s):
-        return ""
-    usual_s = float(np.median(step_s))
-    if columns and "t" in columns and usual_s > _LONGEST_STEP_S:
-        step = format_short(usual_s, "s")
-        option = f"--column t='{columns['t']} [ms]'"
-        return f"times are assumed to be in s, so poses are {step} apart; if they are ms: {option}"
-    is_apart = np.diff(time_ns) >= CROWDED_NS  # poses of one time tell no speed
-    if not is_apart.any():
-        return ""
-    way_m = np.hypot(*np.diff(xy_m, axis=0).T)
-    usual_m_s = float(np.median(way_m[is_apart] / step_s[is_apart]))
-    speed = format_short(usual_m_s, "m/s")
-    if columns is None and usual_m_s > _FASTEST_M_S:
-        return f"x and y are read in m, so {speed} is usual; they may be in mm"
-    if columns and {"x", "y"} <= {*columns} and usual_m_s > _FASTEST_M_S:
-        option = " ".join(f"--column {axis}='{columns[axis]} [mm]'" for axis in "xy")
-        return f"x and y are assumed to be in m, so {speed} is usual; if they are mm: {option}"
-    columns = columns or {}
-    return _describe_curves(time_ns, xy_m, columns) or _describe_crawl(time_ns, xy_m, columns)
-
-
-def _describe_curves(time_ns: TimesNs, xy_m: Values, columns: Mapping[str, str]) -> str:
-    """Return a sentence on positions whose accelerations no robot on the ground has in metres."""
-    rows = thin_rows(time_ns, _CURVE_NS)
-    if not {"x", "y"} <= {*columns} or len(rows) < _FEWEST_CURVES:
-        return ""
-    step_s = np.diff(time_ns[rows]) / 1e9
-    speeds_m_s = np.diff(xy_m[rows], axis=0) / step_s[:, np.newaxis]
-    change_m_s = np.hypot(*np.diff(speeds_m_s, axis=0).T)
-    strong = float(np.quantile(change_m_s / ((step_s[1:] + step_s[:-1]) / 2.0), _ACCELERATED))
-    if strong <= _STRONGEST_M_S2:
-        return ""
-    option = " ".join(f"--column {axis}='{columns[axis]} [cm]'" for axis in "xy")
-    found = (
-        f"x and y are assumed to be in m, so accelerations reach {format_short(strong, 'm/s^2')}"
-    )
-    return f"{found}; if they are cm (or mm): {option}"
-
-
-def _describe_crawl(time_ns: TimesNs, xy_m: Values, columns: Mapping[str, str]) -> str:
-    """Return a sentence on times in whole seconds in which a robot is never faster than rest."""
-    step_ns = np.diff(time_ns)
-    if "t" not in columns or (step_ns % _SECOND_NS).any() or not step_ns.all():
-        return ""
-    fastest_m_s = float(np.quantile(np.hypot(*np.diff(xy_m, axis=0).T) / (step_ns / 1e9), 0.99))
-    if fastest_m_s > _CRAWL_M_S or float(np.ptp(xy_m, axis=0).max()) < _LEAST_EXTENT_M:
-        return ""
-    step, speed = (
-        format_short(float(np.median(step_ns)) / 1e9, "s"),
-        format_short(fastest_m_s, "m/s"),
-    )
-    option = f"--column t='{columns['t']} [ms]'"
-    slow = f"so poses are {step} apart and the robot drives at most {speed}"
-    return f"times are assumed to be in s, {slow}; if they are ms: {option}"
 
 
 def note_motion(

@@ -426,3 +426,12 @@ def note_crowded(time_ns: NDArray[np.int64], *, may_be_rounded: bool = False) ->
     span = format_short(float(time_ns[-1] - time_ns[0]) / 1e9, "s")
     text = f"all {len(time_ns)} poses lie within {span}: their times, and all rates, are wrong"
     return {"crowded": text}
+
+
+def thin_rows(time_ns: TimesNs, stride_ns: int) -> NDArray[np.int64]:
+    """Return the first row at or after each multiple of a stride from the first to the last time.
+
+    The times do not decrease. They may span years if the first time was never set.
+    """
+    strides = (np.minimum(time_ns, time_ns[-1] - 1) - time_ns[0]) // stride_ns
+    return np.flatnonzero(np.diff(strides, prepend=-1) > 0)

@@ -1,4 +1,4 @@
-"""The inputs of a robot in a bag: its commands, its goal and the path to follow."""
+"""The commands of a robot in a bag, its goal and the path to follow."""
 
 import math
 import re
@@ -18,11 +18,9 @@ from turtlelog.log.planar_poses import (
     ACKERMANN_TYPES,
     COMMAND_TYPES,
     TWIST_TYPES,
-    Fields,
     Values,
+    extract_commands,
     find_twist,
-    read_twist,
-    widen,
 )
 from turtlelog.log.read_choice import (
     NEEDS_WHEELBASE,
@@ -33,9 +31,16 @@ from turtlelog.log.read_choice import (
 from turtlelog.log.recording.topics import MEASURED, SHAPED, VELOCITY64
 from turtlelog.log.ros2 import bag_topics
 from turtlelog.log.ros2.bag_poses import PoseSource, RobotTrack, read_tree
-from turtlelog.log.ros2.bag_rows import Bag, Held, OrderedRows, drop_not_finite, order_topic
+from turtlelog.log.ros2.bag_rows import (
+    Bag,
+    Held,
+    OrderedRows,
+    drop_not_finite,
+    order_topic,
+    sort_messages,
+)
 from turtlelog.log.ros2.bag_transforms import bring_over, name_frame
-from turtlelog.run import CommandColumns, Run
+from turtlelog.run import Run
 from turtlelog.run.paths import LEAST_M, MOST_POINTS, Path
 
 _NO_COMMANDS: Final = frozenset({VELOCITY64.name, SHAPED.name, MEASURED.name})
@@ -213,41 +218,9 @@ def order_commands(
     found: Held, topic: TopicInfo, choice: ReadChoice
 ) -> tuple[OrderedRows | None, int]:
     """Return finite commands and the number of dropped ones; None if no command is finite."""
-    ordered = order_topic(found, topic, partial(_extract_commands, wheelbase_m=choice.wheelbase))
+    ordered = order_topic(found, topic, partial(extract_commands, wheelbase_m=choice.wheelbase))
     rows, dropped = drop_not_finite(ordered, [*ordered.columns])
     return (rows if len(rows.time_ns) else None), dropped
-
-
-def _extract_commands(kind: str, fields: Fields, *, wheelbase_m: float | None) -> dict[str, Values]:
-    """Return forward and lateral speed [m/s] and turn rate [rad/s].
-
-    A car turns with speed * tan(steering angle) / wheelbase; NaN from 90 deg on.
-    """
-    if kind in ACKERMANN_TYPES and wheelbase_m is not None:
-        drive = COMMAND_TYPES[kind]
-        speed_m_s = widen(fields[f"{drive}speed"])
-        steering_rad = widen(fields[f"{drive}steering_angle"])
-        is_aside = np.abs(steering_rad) >= np.pi / 2.0  # No car turns with a wheel at 90 deg.
-        steering_rad = np.where(is_aside, np.nan, steering_rad)
-        return {
-            "speed": speed_m_s,
-            "lateral_speed": np.zeros_like(speed_m_s),
-            "turn_rate": speed_m_s * np.tan(steering_rad) / wheelbase_m,
-        }
-    prefix = COMMAND_TYPES.get(kind)
-    return read_twist(fields, (find_twist(fields) or "") if prefix is None else prefix)
-
-
-def build_bag_commands(rows: OrderedRows | None, start_ns: int) -> CommandColumns:
-    """Return commands as columns of a run, with times from its start."""
-    if rows is None:
-        return CommandColumns.build_empty()
-    return CommandColumns(
-        time_ns=rows.time_ns - start_ns,
-        speed_m_s=rows.columns["speed"],
-        lateral_speed_m_s=rows.columns["lateral_speed"],
-        turn_rate_rad_s=rows.columns["turn_rate"],
-    )
 
 
 def add_references(
@@ -350,7 +323,7 @@ def _find_goal(
 
     A goal in another frame needs transforms at its time.
     """
-    rows = _sort_rows(messages)
+    rows = sort_messages(messages)
     known = [one for one in rows if one[0] <= track.time_ns[-1]] or rows
     _, number, row = known[-1]
     fields = {name: column[row] for name, column in messages[number].fields.items()}
@@ -381,15 +354,6 @@ def _find_goal(
     return {"goal_xy_m": xy_m, "goal_heading_rad": heading_rad}, said, time_ns
 
 
-def _sort_rows(messages: Sequence[TopicColumns]) -> list[tuple[int, int, int]]:
-    """Return log time [ns], file and row of every message, in order of time."""
-    return sorted(
-        (time_ns, number, row)
-        for number, columns in enumerate(messages)
-        for row, time_ns in enumerate(columns.log_time_ns.tolist())
-    )
-
-
 def find_path(
     messages: Sequence[TopicColumns],
     topic: str,
@@ -405,7 +369,7 @@ def find_path(
     """
     paths = [
         (time_ns, *_read_points(messages[number], row, time_ns, track))
-        for time_ns, number, row in _sort_rows(messages)
+        for time_ns, number, row in sort_messages(messages)
     ]
     reasons = {reason for _, _, reason in paths if reason}
     known = [(time_ns, xy_m) for time_ns, xy_m, _ in paths if _measure(xy_m) >= LEAST_M]
