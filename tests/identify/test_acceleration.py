@@ -22,9 +22,9 @@ from tests.known import known
 from turtlelog.cli.identify import format_robot
 from turtlelog.identify import Estimate, build_robot_scenario, predict_axis, read_robot_notes
 from turtlelog.identify.axis_fit import fit_axis, list_ends
+from turtlelog.identify.axis_model import has_sure_wheels
 from turtlelog.identify.axis_motion import read_axis_motion
 from turtlelog.identify.held_response import HeldResponse, Structure, hold_commands, limit_softly
-from turtlelog.identify.robot_identification import has_sure_wheels
 from turtlelog.identify.robot_noise import StepNoise, Whitening, fit_noise
 from turtlelog.identify.structure_choice import is_rival
 from turtlelog.run import Run

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from tests.log.runs import find_shared
 from turtlelog import read_run
-from turtlelog.measure.rates import describe_outliers, find_outliers, list_outliers
+from turtlelog.measure.pose_noise import describe_outliers, list_outliers
+from turtlelog.measure.rates import find_outliers
 from turtlelog.measure.reductions import compute_median
 
 Values = NDArray[np.float64]

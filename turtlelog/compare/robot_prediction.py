@@ -26,6 +26,7 @@ from turtlelog.compare.robot_comparison import (
 from turtlelog.display import describe_count
 from turtlelog.errors import CompareError
 from turtlelog.identify import AxisTraces, axis_motion
+from turtlelog.identify.axis_model import join_rates
 from turtlelog.identify.axis_motion import AXES, Axis, AxisMotion, get_commands
 from turtlelog.identify.robot_noise import NORMAL_MAD, find_short_runs
 from turtlelog.identify.silent_stops import LOOK_S
@@ -141,7 +142,7 @@ def _trace_axis(
 ) -> AxisTraces:
     time_s, measured, _ = axis_motion.measure_axis_steps(recorded, axis)
     _, modelled, _ = axis_motion.measure_axis_steps(simulated, axis)
-    return axis_motion.join_rates(axis, motion, time_s, measured, modelled)
+    return join_rates(axis, motion, time_s, measured, modelled)
 
 
 def _list_cuts(found: Mapping[float, tuple[Rows, int, int]]) -> Iterator[str]:

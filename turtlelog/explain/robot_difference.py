@@ -17,8 +17,8 @@ from turtlelog.explain.difference_report import ExplainedDifference
 from turtlelog.explain.game import SEEDS, Coalition, Game, Outcome, Work
 from turtlelog.explain.robot_log import COMMANDS, ROBOT, RobotLog
 from turtlelog.identify.axis_fit import NORMAL_95
-from turtlelog.identify.axis_motion import AXES, NAMES, Axis, predict_response
-from turtlelog.identify.robot_model import AxisModel
+from turtlelog.identify.axis_model import AxisModel, predict_response
+from turtlelog.identify.axis_motion import AXES, NAMES, Axis
 from turtlelog.measure import measure_run
 from turtlelog.measure.pose_quality import describe_breaks
 from turtlelog.run import PoseColumns, Run

@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 from turtlelog.display import join_words
 from turtlelog.errors import ReplayError
 from turtlelog.identify.axis_fit import NORMAL_95
+from turtlelog.identify.axis_model import AxisModel, Estimate
 from turtlelog.identify.axis_motion import AXES, Axis, measure_axis_steps, read_axis_motion
 from turtlelog.identify.held_response import HeldInput
 from turtlelog.identify.robot_identification import identify_robot
-from turtlelog.identify.robot_model import AxisModel, Estimate, RobotModel
+from turtlelog.identify.robot_model import RobotModel
 from turtlelog.identify.robot_noise import measure_disturbance_noise, measure_sensing_noise
 from turtlelog.measure import Outlier, find_metric_kind, list_outliers
 from turtlelog.measure.breaks import PoseGap, PoseJump, find_gaps, find_jumps

@@ -1,14 +1,14 @@
-from .axis_motion import (
-    NAMES as NAMES,
+from .axis_model import (
+    AxisModel as AxisModel,
     AxisTraces as AxisTraces,
+    Estimate as Estimate,
     predict_axis as predict_axis,
     trace_axis as trace_axis,
 )
+from .axis_motion import NAMES as NAMES
 from .robot_identification import identify_robot as identify_robot
 from .robot_model import (
     HEADS as HEADS,
-    AxisModel as AxisModel,
-    Estimate as Estimate,
     RobotEvent as RobotEvent,
     RobotModel as RobotModel,
     TickDelays as TickDelays,

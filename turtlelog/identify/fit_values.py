@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from turtlelog.display import join_words
 from turtlelog.identify import axis_fit, axis_motion
 from turtlelog.identify.axis_fit import DEAD_TIME, EXTRA, GAIN, LAG, NORMAL_95, TOTAL, AxisFit
+from turtlelog.identify.axis_model import FURTHER, ORDERS, AxisModel, Estimate
 from turtlelog.identify.axis_motion import NAMES, OTHER, UNITS, Axis, AxisMotion
 from turtlelog.identify.held_response import Structure
-from turtlelog.identify.robot_model import FURTHER, ORDERS, AxisModel, Estimate
 from turtlelog.identify.robot_noise import LEAST_STEP
 from turtlelog.measure.motion import measure_whiteness
 from turtlelog.run import Run

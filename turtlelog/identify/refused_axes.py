@@ -1,6 +1,6 @@
-"""Causes why commands and motion do not identify an axis, advice, and what a log leaves open."""
+"""Causes why commands and motion do not identify an axis, and advice."""
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from turtlelog.display import describe_count
 from turtlelog.identify.axis_fit import DEAD_TIME, LAG, AxisFit, NoGainError, fit_axis
+from turtlelog.identify.axis_model import AxisModel, Estimate, Refusal, predict_axis
 from turtlelog.identify.axis_motion import (
     AT_ONCE_S,
     LARGEST_DEAD_TIME_S,
@@ -19,7 +20,6 @@ from turtlelog.identify.axis_motion import (
     Axis,
     AxisMotion,
     find_repetition,
-    find_rests,
     get_commands,
     read_axis_motion,
 )
@@ -29,9 +29,8 @@ from turtlelog.identify.fit_values import (
     find_differing_parts,
 )
 from turtlelog.identify.held_response import COUPLED, Values
-from turtlelog.identify.robot_model import AxisModel, Estimate, Refusal
-from turtlelog.identify.robot_noise import RESTED_S
-from turtlelog.identify.structure_choice import LEAST_BELOW
+from turtlelog.identify.robot_model import find_reaching
+from turtlelog.identify.robot_noise import LEAST_STEP
 from turtlelog.log import UNREAD_COMMANDS
 from turtlelog.measure.signals import find_no_commands
 from turtlelog.run import Run, SourceKind, find_source_kind
@@ -68,7 +67,6 @@ _OPPOSITE_WHY: Final[Mapping[Axis, str]] = {
     "speed": "its front and its back may be swapped",
     "turn_rate": "its left and its right motor may be swapped",
 }
-
 
 _SENTENCES: Final[Mapping[Refusal, str]] = {
     "no_commands": "no commands were recorded",
@@ -117,13 +115,11 @@ _SENTENCES: Final[Mapping[Refusal, str]] = {
     "hidden": "no pose shows a change of the commanded {name}",
 }
 
-
 _FIRST: Final[Mapping[Refusal, str]] = {
     "no_commands": "record the topic of the commands beside the poses",
     "begun": "begin to record while the robot rests",
 }
 """Advice before the test drive."""
-
 
 _EARLY: Final = (
     "no delay fits best, and the intervals are wide: the motion may lead the commands, or noise"
@@ -306,6 +302,31 @@ def _is_wide(value: Estimate, fine: float = 0.0) -> bool:
     return value.high - value.low > max(value.value, fine)
 
 
+_FEWEST_STEPS: Final = 50
+"""Smallest number of steps that shows the noise: a second and a half at 30 Hz."""
+
+_SPARSE_S: Final = 20.0 / _FEWEST_STEPS
+"""Usual time between poses above which the suggested drive, ten times 2 s, has too few steps
+[s]."""
+
+
+def refuse_few_steps(runs: Sequence[Run], axis: Axis, steps: int) -> AxisModel | None:
+    """Return an axis without values if too few steps show its noise; else None."""
+    if steps >= _FEWEST_STEPS:
+        return None
+    refused = refuse_axis(axis, "few_steps", fewest=_FEWEST_STEPS, steps=steps)
+    if all(_find_usual_step(run) > _SPARSE_S for run in runs):
+        advice = f"record poses at most {_SPARSE_S:g} s apart, and {refused.advice}"
+        refused = replace(refused, advice=advice)
+    return refused
+
+
+def _find_usual_step(run: Run) -> float:
+    """Return the usual time between poses [s]; 0 for fewer than two poses."""
+    steps_ns = np.diff(run.poses.time_ns)
+    return float(np.median(steps_ns)) / 1e9 if len(steps_ns) else 0.0
+
+
 _DIFFERS: Final = 0.25
 """Smallest difference of two models in a decisive step, as a share of the largest step."""
 
@@ -348,60 +369,12 @@ def _compare(fit: AxisFit, twin: Values) -> float | None:
     return left[0] / max(left[1], np.finfo(float).tiny)
 
 
-_SAME_SIZE: Final = 0.05
-"""Largest relative difference of commands of equal size. A smaller difference does not show whether
-the gain varies."""
-
-_MOSTLY: Final = 0.95
-"""Share of an axis's commands beside one command of the other axis, above which no commands are
-left to compare: less than a twentieth of the commands gives no interval of its own."""
-
-
-def list_open_questions(runs: Sequence[Run], models: Sequence[AxisModel]) -> list[str]:
-    """Return what the log does not show of known axes, as sentences."""
-    notes = (_note_one_size, _note_one_beside, _note_backward, _note_drift)
-    return [text for note in notes for model in models for text in note(runs, model)]
-
-
-def _join_commands(runs: Sequence[Run], axis: Axis) -> Values:
-    return np.concatenate([get_commands(run, axis) for run in runs])
-
-
-def _note_one_size(runs: Sequence[Run], model: AxisModel) -> Iterator[str]:
-    sizes = np.abs(_join_commands(runs, model.axis))
-    moving, name = sizes[sizes > 0.0], NAMES[model.axis]
-    if model.is_known and float(np.ptp(moving)) <= _SAME_SIZE * float(moving.max()):
-        yield (
-            f"All {name} commands have the same magnitude. The log does not show whether smaller"
-            f" commands have the same gain, nor the largest {name}."
-        )
-
-
-def _find_reaching(runs: Sequence[Run], model: AxisModel, sign: float) -> tuple[str, float] | None:
-    """Return how many moving commands of one sign reach the bound, and the smallest of them.
-
-    The result is None if enough commands stay below the bound to show their gain.
-    """
-    # A command that reaches the bound within its interval fits any larger gain as well. The way to
-    # a bound of the rate shows the gain anyway.
-    if model.gain is None or model.bound is None or model.bound_acts == "rate":
-        return None
-    sizes = sign * _join_commands(runs, model.axis)
-    sizes = sizes[sizes > (0.0 if model.deadband is None else model.deadband.low)]
-    gain = model.reverse_gain if sign < 0.0 and model.reverse_gain else model.gain
-    friction = 0.0 if model.friction is None else model.friction.value
-    reaches = gain.high * (sizes - friction) >= model.bound.low
-    if not len(sizes) or np.mean(~reaches) >= LEAST_BELOW:
-        return None
-    return "every" if reaches.all() else "nearly every", float(sizes[reaches].min())
-
-
 def refuse_forward(runs: Sequence[Run], model: AxisModel) -> AxisModel | None:
     """Return an axis without values if the motion shows only the gain of negative commands.
 
     The gain of positive ones may have any value above the bound divided by the smallest of them.
     """
-    found = _find_reaching(runs, model, 1.0)
+    found = find_reaching(runs, model, 1.0)
     if found is None:
         return None
     every, smallest = found
@@ -417,52 +390,51 @@ def refuse_forward(runs: Sequence[Run], model: AxisModel) -> AxisModel | None:
     )
 
 
-def _note_backward(runs: Sequence[Run], model: AxisModel) -> Iterator[str]:
-    found = _find_reaching(runs, model, -1.0)
-    if found is not None and model.bound is not None:
-        yield (
-            f"{found[0].capitalize()} negative command of the {NAMES[model.axis]} reaches the limit"
-            f" of {model.bound.value:.3g} {UNITS[model.axis]}. The log does not show whether the"
-            " gain holds for smaller ones."
-        )
-
-
-def _note_drift(runs: Sequence[Run], model: AxisModel) -> Iterator[str]:
-    """Yield a note if no rest shows the drift of a known axis."""
-    if model.drift is None or model.dead_time_s is None or model.lag_s is None:
-        return
-    motions = [read_axis_motion(run, model.axis) for run in runs]
-    rests = find_rests(motions, model.dead_time_s.value, model.lag_s.value)
-    rested_s = float(np.concatenate([one.duration_s for one in motions])[rests].sum())
-    rested_s += sum(one.rested[0] for one in motions)
-    if rested_s < RESTED_S:
-        yield (
-            f"The robot never rests long enough in this log. The drift of the {NAMES[model.axis]}"
-            " is the one that its motion beside commands shows, and may be different at rest."
-        )
-
-
-def _note_one_beside(runs: Sequence[Run], model: AxisModel) -> Iterator[str]:
-    """Yield a note if a known axis is only commanded beside one command of the other axis."""
-    # Wheels that reach their limit together show only this one gain; other commands may have a
-    # larger gain.
-    other = OTHER[model.axis]
-    own, beside = (np.abs(_join_commands(runs, axis)) for axis in (model.axis, other))
-    beside = beside[own > 0.0]
-    if not model.is_known or not len(beside):
-        return
-    usual = float(np.median(beside))
-    if usual and np.mean(np.abs(beside - usual) <= _SAME_SIZE * usual) >= _MOSTLY:
-        yield (
-            f"Nearly all commands of the {NAMES[model.axis]} come together with a {NAMES[other]} of"
-            f" {usual:.3g} {UNITS[other]}. The log does not show the gain of the"
-            f" {NAMES[model.axis]} without this {NAMES[other]}."
-        )
-
-
 def doubt_waiting(runs: Sequence[Run], model: AxisModel, other: AxisModel) -> AxisModel:
     """Return an axis in doubt if it may wait for the other axis; without values if that is all."""
     covered = cover_waiting(runs, model, other)
     if covered is model:
         return model
     return _refuse_wide(covered, drive=f", while the {NAMES[other.axis]} rests") or covered
+
+
+_CONTRADICTS: Final = 15.0
+"""Increase of twice the negative log-likelihood of the other axis from which it has no limit of the
+wheels: by chance in 1 of 10,000 robots."""
+
+
+def contradicts_wheels(runs: Sequence[Run], found: AxisModel, other: AxisModel) -> bool:
+    """Return whether the other axis clearly lacks a limit of the wheels' acceleration.
+
+    For example, the turn rate of a car is in proportion to its speed, which looks like this limit.
+    """
+    own, beside = found.rate_limit, found.rate_limit_beside
+    if own is None or beside is None or found.gain is None or other.gain is None:
+        return False
+    if other.limit_acts:
+        return False
+    # The same limit, as the other axis would show it.
+    shared = replace(
+        other,
+        limit_acts="at_wheels",
+        rate_limit=Estimate(value=other.gain.value * beside.value, low=0.0, high=np.inf),
+        rate_limit_beside=Estimate(value=own.value / found.gain.value, low=0.0, high=np.inf),
+        lag_product_s2=None,
+        bound=None,
+        bound_beside=None,
+        deadband=None,
+        reverse_gain=None,
+        friction=None,
+        drift=None,
+        bound_acts="",
+        model="first_order",
+    )
+    squares, steps = np.zeros(2), 0
+    for run in runs:
+        motion = read_axis_motion(run, other.axis)
+        for row, model in enumerate((other, shared)):
+            way, _ = predict_axis(model, run, motion.time_s)
+            off = motion.moved - (way[motion.first + 1] - way[motion.first])
+            squares[row] += float(off @ off)
+        steps += len(motion.moved)
+    return bool(steps * np.log(squares[1] / max(squares[0], LEAST_STEP**2)) > _CONTRADICTS)

@@ -17,6 +17,7 @@ from turtlelog.display import describe_count
 from turtlelog.errors import IdentifyError, ReplayError
 from turtlelog.identify import refused_axes
 from turtlelog.identify.axis_fit import NORMAL_95, AxisFit, NoGainError, count_steps, fit_axis
+from turtlelog.identify.axis_model import AxisModel, Estimate, has_sure_wheels
 from turtlelog.identify.axis_motion import (
     AXES,
     MEMORY_S,
@@ -25,20 +26,17 @@ from turtlelog.identify.axis_motion import (
     AxisMotion,
     find_repetition,
     get_commands,
-    predict_axis,
     read_axis_motion,
 )
 from turtlelog.identify.fit_values import cover_parts, cover_rivals, describe_fit
 from turtlelog.identify.held_response import Values
 from turtlelog.identify.robot_model import (
-    AxisModel,
-    Estimate,
     RobotEvent,
     RobotModel,
     TickDelays,
+    list_open_questions,
     list_unit_faults,
 )
-from turtlelog.identify.robot_noise import LEAST_STEP
 from turtlelog.identify.structure_choice import choose_structure
 from turtlelog.measure.pose_quality import describe_sideways, find_travel_direction
 from turtlelog.plants import TURTLESIM, find_plant
@@ -54,16 +52,6 @@ from turtlelog.run import Run, list_runs
 _DIFFERENT: Final = 3.0
 """Standard deviations by which two runs must differ: by chance in 0.3 % of pairs."""
 
-_FEWEST_STEPS: Final = 50
-"""Smallest number of steps that shows the noise: a second and a half at 30 Hz."""
-
-_SPARSE_S: Final = 20.0 / _FEWEST_STEPS
-"""Usual time between poses above which the suggested drive, ten times 2 s, has too few steps
-[s]."""
-
-_CONTRADICTS: Final = 15.0
-"""Increase of twice the negative log-likelihood of the other axis from which it has no limit of the
-wheels: by chance in 1 of 10,000 robots."""
 
 MOST_STEPS: Final = 100_000
 """Largest number of steps of each axis that are used: half an hour at 50 Hz, in about 5 s. Of a
@@ -93,7 +81,7 @@ def identify_robot(runs: Run | Iterable[Run]) -> RobotModel:
         return exact
     pairs = [_identify_axis(runs, axis) for axis in AXES]
     for row, other in enumerate(pairs[::-1]):
-        if _contradicts_wheels(runs, pairs[row][0], other[0]):
+        if refused_axes.contradicts_wheels(runs, pairs[row][0], other[0]):
             pairs[row] = _identify_axis(runs, AXES[row], tries_wheels=False)
     (speed, speed_events), (turn_rate, turn_events) = pairs
     doubt = refused_axes.doubt_waiting
@@ -106,7 +94,7 @@ def identify_robot(runs: Run | Iterable[Run]) -> RobotModel:
         if (sideways := describe_sideways(run))
     ]
     notes += [text for model in models for text in _compare_runs(runs, model)]
-    notes += refused_axes.list_open_questions(runs, models)
+    notes += list_open_questions(runs, models)
     notes += [
         f"The {NAMES[model.axis]} stops by itself where no command comes,"
         f" {describe_count(len(waits_s), 'time')}: it is down to half {min(waits_s):.2f} to"
@@ -145,11 +133,7 @@ def _identify_axis(
     refused = refused_axes.refuse_commands(runs, axis)
     refused = refused or refused_axes.refuse_begun(runs, motions, axis)
     refused = refused or refused_axes.refuse_implausible(runs, motions, axis)
-    if refused is None and steps < _FEWEST_STEPS:
-        refused = refused_axes.refuse_axis(axis, "few_steps", fewest=_FEWEST_STEPS, steps=steps)
-        if all(_find_usual_step(run) > _SPARSE_S for run in runs):
-            advice = f"record poses at most {_SPARSE_S:g} s apart, and {refused.advice}"
-            refused = replace(refused, advice=advice)
+    refused = refused or refused_axes.refuse_few_steps(runs, axis, steps)
     if refused is not None:
         return refused, []
     if steps > MOST_STEPS:
@@ -186,57 +170,6 @@ def _identify_axis(
         silent_stops_s=tuple(waits_s),
     )
     return found, _list_events(names, axis, fit)
-
-
-def has_sure_wheels(found: AxisModel) -> bool:
-    """Return whether the intervals of a limit of the wheels' acceleration, if any, are finite."""
-    limits = (found.rate_limit, found.rate_limit_beside)
-    return found.limit_acts != "at_wheels" or all(
-        one is not None and one.low > 0.0 and np.isfinite(one.high) for one in limits
-    )
-
-
-def _contradicts_wheels(runs: Sequence[Run], found: AxisModel, other: AxisModel) -> bool:
-    """Return whether the other axis clearly lacks a limit of the wheels' acceleration.
-
-    For example, the turn rate of a car is in proportion to its speed, which looks like this limit.
-    """
-    own, beside = found.rate_limit, found.rate_limit_beside
-    if own is None or beside is None or found.gain is None or other.gain is None:
-        return False
-    if other.limit_acts:
-        return False
-    # The same limit, as the other axis would show it.
-    shared = replace(
-        other,
-        limit_acts="at_wheels",
-        rate_limit=Estimate(value=other.gain.value * beside.value, low=0.0, high=np.inf),
-        rate_limit_beside=Estimate(value=own.value / found.gain.value, low=0.0, high=np.inf),
-        lag_product_s2=None,
-        bound=None,
-        bound_beside=None,
-        deadband=None,
-        reverse_gain=None,
-        friction=None,
-        drift=None,
-        bound_acts="",
-        model="first_order",
-    )
-    squares, steps = np.zeros(2), 0
-    for run in runs:
-        motion = read_axis_motion(run, other.axis)
-        for row, model in enumerate((other, shared)):
-            way, _ = predict_axis(model, run, motion.time_s)
-            off = motion.moved - (way[motion.first + 1] - way[motion.first])
-            squares[row] += float(off @ off)
-        steps += len(motion.moved)
-    return bool(steps * np.log(squares[1] / max(squares[0], LEAST_STEP**2)) > _CONTRADICTS)
-
-
-def _find_usual_step(run: Run) -> float:
-    """Return the usual time between poses [s]; 0 for fewer than two poses."""
-    steps_ns = np.diff(run.poses.time_ns)
-    return float(np.median(steps_ns)) / 1e9 if len(steps_ns) else 0.0
 
 
 _TOLD: Final = 1e-3

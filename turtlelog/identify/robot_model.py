@@ -1,53 +1,27 @@
-"""Values of a robot's dynamics with intervals and in words, or the reason why they are unknown."""
+"""A robot's dynamics: both axes, events, the answer in words, and what the log leaves open."""
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from html import escape
-from typing import Any, Final, Literal, SupportsFloat
+from typing import Final
 
-from turtlelog.display import NULL_IF_EMPTY, fit_line, format_html, format_notebook, join_words
-from turtlelog.errors import IdentifyError
-from turtlelog.identify.axis_motion import NAMES, Axis
-from turtlelog.identify.held_response import Bound, Order, Structure
-from turtlelog.run import Clock
-from turtlelog.theory.process import Process, build_delayed
+import numpy as np
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Estimate:
-    """A value and its 95 % interval. Comparisons with numbers use the value.
-
-    Attributes:
-        value: Most likely value.
-        low: Lower end of the interval.
-        high: Upper end of the interval.
-        unit: Unit of the value and the interval.
-    """
-
-    value: float
-    low: float
-    high: float
-    unit: str = field(default="s", repr=False)
-
-    def __float__(self) -> float:
-        return self.value
-
-    def __lt__(self, other: SupportsFloat) -> bool:
-        return self.value < float(other)
-
-    def __le__(self, other: SupportsFloat) -> bool:
-        return self.value <= float(other)
-
-    def __gt__(self, other: SupportsFloat) -> bool:
-        return self.value > float(other)
-
-    def __ge__(self, other: SupportsFloat) -> bool:
-        return self.value >= float(other)
-
-    def __repr__(self) -> str:
-        unit = "" if self.unit == "1" else f" {self.unit}"
-        return f"<{self.value:.4g}{unit}, {self.low:.4g} to {self.high:.4g}>"
+from turtlelog.display import fit_line, format_html, format_notebook, join_words
+from turtlelog.identify.axis_model import LEAST_BELOW, AxisModel, Estimate, format_estimate
+from turtlelog.identify.axis_motion import (
+    NAMES,
+    OTHER,
+    RESTED_S,
+    UNITS,
+    Axis,
+    find_rests,
+    get_commands,
+    read_axis_motion,
+)
+from turtlelog.identify.held_response import Values
+from turtlelog.run import Clock, Run
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,245 +42,6 @@ class TickDelays:
     least_s: float
     median_s: float
     largest_s: float
-
-
-LimitPlace = Literal["", "before_lag", "within_lag", "at_wheels"]
-
-Refusal = Literal[
-    "no_commands", "never_commanded", "negligible", "constant", "ramps", "begun",
-    "implausible", "few_steps", "no_gain", "opposite", "late", "unexplained", "jump", "wide",
-    "repeated", "at_bound", "hidden",
-]  # fmt: skip
-"""Cause why an axis has no values; `refused_axes` has the sentence of each."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AxisModel:
-    """One axis: rate = gain exp(-dead_time s) / (lag s + 1), with commands under zero-order hold.
-
-    An estimate is None if the motion does not show it.
-
-    Attributes:
-        axis: `speed` or `turn_rate`.
-        status: Whether the values of the axis are known.
-        refusal: Cause why the values are unknown.
-        reason: The same in a sentence.
-        advice: Test drive that would identify the values; empty if no drive would.
-        model: Model of the response; `second_order`: rate = gain exp(-dead_time s) / (product s^2 +
-            lag s + 1).
-        gain: Steady-state rate per command [1].
-        dead_time_s: Time from a command until the rate begins to follow [s].
-        lag_s: Time constant of the response [s]; for second order, the sum of both time constants.
-        total_delay_s: Sum of dead time and time constant, which is known better than either [s].
-        lag_product_s2: Product of both time constants for second order [s^2].
-        rate_limit: Largest acceleration [m/s^2] or [rad/s^2].
-        limit_acts: Place of the limit: before the low-pass, within its loop, or at the wheels,
-            which both axes share.
-        rate_limit_beside: Change of the other axis's command that alone reaches the limit of the
-            wheels [m/s^2] or [rad/s^2]; `rate_limit` then is that without the other axis.
-        jerk_time_s: Time in which the acceleration reaches its limit before the low-pass [s].
-        bound: Largest rate [m/s] or [rad/s].
-        bound_acts: Limited quantity: the `command`, the `rate`, or the wheels, which both axes
-            share. A larger command is then `scaled` on both axes, `clipped` at each wheel,
-            `yielding` to the other axis, or `reduced` by it.
-        bound_beside: Command of the other axis that alone reaches the limit of the wheels [m/s] or
-            [rad/s]; `bound` then is that without the other axis.
-        deadband: Largest command that moves nothing [m/s] or [rad/s].
-        reverse_gain: Gain of negative commands, if it differs [1].
-        friction: Part of every command's magnitude that has no effect [m/s] or [rad/s]. The gain
-            applies to the rest.
-        drift: Rate at a command of 0 [m/s] or [rad/s], added to the response to every command.
-        explained: Fraction of the variance of the steps about one constant speed that the model
-            explains.
-        whiteness: Mean square of the changes of the residuals divided by twice their mean square,
-            without the noise of poses: 1 for noise, near 0 for a curve.
-        outliers: Number of steps whose residual exceeds the noise, left out.
-        correlation_delay_s: Delay with the largest correlation of commands and motion [s], with the
-            range of delays that the correlation cannot distinguish.
-        correlation_reason: Reason why the correlation shows no delay.
-        steps: Number of steps between poses that were used.
-        steps_in_all: Number of steps in which commands act.
-        changes: Number of changes of the command.
-        doubts: Reasons other than noise for wider intervals, in sentences.
-        silent_stops_s: Times from the last command to half of the rate [s], if the robot stops by
-            itself.
-    """
-
-    axis: Axis
-    status: Literal["ok", "not_identifiable"]
-    refusal: Refusal | None = None
-    reason: str = field(default="", metadata=NULL_IF_EMPTY)
-    advice: str = field(default="", metadata=NULL_IF_EMPTY)
-    model: Literal["first_order", "second_order"] = "first_order"
-    gain: Estimate | None = None
-    dead_time_s: Estimate | None = None
-    lag_s: Estimate | None = None
-    total_delay_s: Estimate | None = None
-    lag_product_s2: Estimate | None = None
-    rate_limit: Estimate | None = None
-    limit_acts: LimitPlace = field(default="", metadata=NULL_IF_EMPTY)
-    rate_limit_beside: Estimate | None = None
-    jerk_time_s: Estimate | None = None
-    bound: Estimate | None = None
-    bound_acts: Bound = field(default="", metadata=NULL_IF_EMPTY)
-    bound_beside: Estimate | None = None
-    deadband: Estimate | None = None
-    reverse_gain: Estimate | None = None
-    friction: Estimate | None = None
-    drift: Estimate | None = None
-    explained: float | None = None
-    whiteness: float | None = None
-    outliers: int = 0
-    correlation_delay_s: Estimate | None = None
-    correlation_reason: str = field(default="", metadata=NULL_IF_EMPTY)
-    steps: int = 0
-    steps_in_all: int = 0
-    changes: int = 0
-    doubts: tuple[str, ...] = ()
-    silent_stops_s: tuple[float, ...] = ()
-
-    def to_control(self, pade_order: int = 4) -> Any:
-        """Return the axis as a `control.TransferFunction`, from command to rate.
-
-        Limits and a deadband are nonlinear and left out. So is a drift, which is no response.
-
-        Args:
-            pade_order: Pade order of the rational function that approximates the dead time; 0: no
-                dead time.
-
-        Raises:
-            IdentifyError: If the axis is unknown.
-            TheoryError: If the order is negative.
-            LibraryError: If python-control is not installed.
-        """
-        gain, dead_time_s, lag_s = self._require_known()
-        product = 0.0 if self.lag_product_s2 is None else self.lag_product_s2.value
-        return build_delayed([gain], (product, lag_s, 1.0), dead_time_s, pade_order)
-
-    def to_process(self) -> Process:
-        """Return the axis as a process of `theory`: a delayed rate, integrated.
-
-        For second order, the time constant is the sum of both time constants. Limits, a deadband
-        and a drift are left out.
-
-        Raises:
-            IdentifyError: If the axis is unknown.
-            TheoryError: If the gain is not positive.
-        """
-        gain, dead_time_s, lag_s = self._require_known()
-        return Process(gain=gain, dead_time_s=dead_time_s, lag_s=lag_s)
-
-    def _require_known(self) -> tuple[float, float, float]:
-        if self.gain is None or self.dead_time_s is None or self.lag_s is None:
-            raise IdentifyError(f"{self.axis}: {self.reason or 'it is not known'}")
-        return self.gain.value, self.dead_time_s.value, self.lag_s.value
-
-    @property
-    def advised_delay_s(self) -> float | None:
-        """Total delay for the design of a controller [s]; if in doubt, the longest delay."""
-        return self._take_advised(self.total_delay_s)
-
-    @property
-    def oscillation_delay_s(self) -> float:
-        """Delay that stands for the oscillation of a second-order model in a first-order one [s].
-
-        With this delay, P control with 5 % overshoot gets the gain that the second-order model
-        allows, or up to a tenth less: 0.5 product^1.5 / lag^2 fits damping ratios from 0.3 to 1. A
-        dead time reduces the gain anyway, so that a smaller delay is enough.
-        """
-        product, lag = self.lag_product_s2, self.lag_s
-        if product is None or lag is None or product.value <= 0.25 * lag.value**2:
-            return 0.0
-        return 0.5 * product.value * math.sqrt(product.value) / lag.value**2
-
-    @property
-    def advised_gain(self) -> float | None:
-        """Gain for the design of a controller [1]; if in doubt, the largest gain."""
-        return self._take_advised(self.gain)
-
-    @property
-    def advised_reverse_gain(self) -> float | None:
-        """Gain of negative commands for the design of a controller, if it differs [1]."""
-        return self._take_advised(self.reverse_gain)
-
-    def _take_advised(self, found: Estimate | None) -> float | None:
-        if found is None:
-            return None
-        return found.high if self.doubts else found.value
-
-    @property
-    def structure(self) -> Structure:
-        """Names of the axis's further parameters."""
-        order: Order = "second_order" if self.model == "second_order" else "first_order"
-        if self.limit_acts:
-            order = ORDERS[self.limit_acts]
-        if self.jerk_time_s is not None:
-            order = "limited_softly"
-        return Structure(
-            order=order,
-            bound=self.bound_acts,
-            has_reverse=self.reverse_gain is not None,
-            has_friction=self.friction is not None,
-            deadband=0.0 if self.deadband is None else self.deadband.low,
-            has_drift=self.drift is not None,
-        )
-
-    @property
-    def extras(self) -> list[float]:
-        """Values of the further parameters, as fractions of the gain."""
-        gain = math.nan if self.gain is None else self.gain.value
-        found = []
-        for key, relation, _ in (FURTHER[name] for name in self.structure.names):
-            if (one := getattr(self, key)) is not None:
-                of_gain = gain if relation in {"product", "quotient"} else 1.0
-                is_inverse = relation in {"reciprocal", "quotient"}
-                found.append(of_gain / one.value if is_inverse else one.value / of_gain)
-        return found
-
-    @property
-    def is_known(self) -> bool:
-        """Whether gain, dead time and time constant have values."""
-        return self.status == "ok"
-
-    @property
-    def exceptions(self) -> str:
-        """Commands to which the gain does not apply, for the end of a clause; empty if none."""
-        said = ""
-        if self.reverse_gain is not None:
-            said += f" (backwards {self.reverse_gain.value:.3g} times the command)"
-        if self.friction is not None:
-            said += f" less friction of {_show(self.friction)}"
-        if self.deadband is not None:
-            said += f" above a deadband of {_show(self.deadband)}"
-        return said
-
-    @property
-    def is_idle(self) -> bool:
-        """Whether the axis is never commanded, so that its values are not needed."""
-        return self.refusal == "never_commanded"
-
-
-ORDERS: Final[Mapping[str, Order]] = {
-    "before_lag": "limited_before",
-    "within_lag": "limited_within",
-    "at_wheels": "limited_wheels",
-}
-"""Order of a model by the place of its limit."""
-
-FURTHER: Final = {
-    "product": ("lag_product_s2", "itself", "s^2"),
-    "slowness": ("rate_limit", "quotient", "{own}^2"),
-    "jerk_time": ("jerk_time_s", "itself", "s"),
-    "slowness_beside": ("rate_limit_beside", "reciprocal", "{other}^2"),
-    "tightness": ("bound", "quotient", "{own}"),
-    "coupling": ("bound_beside", "reciprocal", "{other}"),
-    "reverse": ("reverse_gain", "product", "1"),
-    "friction": ("friction", "itself", "{own}"),
-    "drift": ("drift", "product", "{own}"),
-}
-"""Field of each further parameter of a structure; the relation of its value to the parameter
-(`quotient`: gain by parameter; `product`: gain times parameter); and its unit, by the units of the
-rates of its own axis and the other one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -377,7 +112,6 @@ class RobotModel:
 _WHOLE_MS: Final = 10.0
 """Width of an interval from which tenths of a millisecond are not printed [ms]."""
 
-
 _DEGREES: Final = math.degrees(1.0)
 
 _UNIT_FAULTS: Final[Mapping[Axis, tuple[tuple[float, str, str], ...]]] = {
@@ -444,8 +178,8 @@ def write_robot_headline(axes: Sequence[AxisModel], name: str) -> list[str]:
     said.append(f"T{total[1:]}" if said else f"{name}: {total}")
     gains = [
         f"{NAMES[axis.axis]} {axis.gain.value:.3f}{axis.exceptions}"
-        + (f" up to its limit of {_show(axis.bound)}" if axis.bound else "")
-        + (f" with a drift of {_show(axis.drift)}" if axis.drift else "")
+        + (f" up to its limit of {format_estimate(axis.bound)}" if axis.bound else "")
+        + (f" with a drift of {format_estimate(axis.drift)}" if axis.drift else "")
         for axis in axes
         if axis.gain is not None
     ]
@@ -458,10 +192,6 @@ def write_robot_headline(axes: Sequence[AxisModel], name: str) -> list[str]:
     if doubted:
         said.append(f"In doubt: {join_words(doubted)}.")
     return said
-
-
-def _show(value: Estimate) -> str:
-    return f"{value.value:.3g} {value.unit}"
 
 
 def _write_doubted(axis: AxisModel) -> str:
@@ -494,3 +224,93 @@ def list_model_values(axis: AxisModel) -> tuple[str, str, str, str]:
 
 HEADS: Final = ("axis", "gain [1]", "dead time [ms]", "time constant [ms]")
 """Titles of the columns of `list_model_values`."""
+
+_SAME_SIZE: Final = 0.05
+"""Largest relative difference of commands of equal size. A smaller difference does not show whether
+the gain varies."""
+
+_MOSTLY: Final = 0.95
+"""Share of an axis's commands beside one command of the other axis, above which no commands are
+left to compare: less than a twentieth of the commands gives no interval of its own."""
+
+
+def list_open_questions(runs: Sequence[Run], models: Sequence[AxisModel]) -> list[str]:
+    """Return what the log does not show of known axes, as sentences."""
+    notes = (_note_one_size, _note_one_beside, _note_backward, _note_drift)
+    return [text for note in notes for model in models for text in note(runs, model)]
+
+
+def _join_commands(runs: Sequence[Run], axis: Axis) -> Values:
+    return np.concatenate([get_commands(run, axis) for run in runs])
+
+
+def _note_one_size(runs: Sequence[Run], model: AxisModel) -> Iterator[str]:
+    sizes = np.abs(_join_commands(runs, model.axis))
+    moving, name = sizes[sizes > 0.0], NAMES[model.axis]
+    if model.is_known and float(np.ptp(moving)) <= _SAME_SIZE * float(moving.max()):
+        yield (
+            f"All {name} commands have the same magnitude. The log does not show whether smaller"
+            f" commands have the same gain, nor the largest {name}."
+        )
+
+
+def find_reaching(runs: Sequence[Run], model: AxisModel, sign: float) -> tuple[str, float] | None:
+    """Return how many moving commands of one sign reach the bound, and the smallest of them.
+
+    The result is None if enough commands stay below the bound to show their gain.
+    """
+    # A command that reaches the bound within its interval fits any larger gain as well. The way to
+    # a bound of the rate shows the gain anyway.
+    if model.gain is None or model.bound is None or model.bound_acts == "rate":
+        return None
+    sizes = sign * _join_commands(runs, model.axis)
+    sizes = sizes[sizes > (0.0 if model.deadband is None else model.deadband.low)]
+    gain = model.reverse_gain if sign < 0.0 and model.reverse_gain else model.gain
+    friction = 0.0 if model.friction is None else model.friction.value
+    reaches = gain.high * (sizes - friction) >= model.bound.low
+    if not len(sizes) or np.mean(~reaches) >= LEAST_BELOW:
+        return None
+    return "every" if reaches.all() else "nearly every", float(sizes[reaches].min())
+
+
+def _note_backward(runs: Sequence[Run], model: AxisModel) -> Iterator[str]:
+    found = find_reaching(runs, model, -1.0)
+    if found is not None and model.bound is not None:
+        yield (
+            f"{found[0].capitalize()} negative command of the {NAMES[model.axis]} reaches the limit"
+            f" of {model.bound.value:.3g} {UNITS[model.axis]}. The log does not show whether the"
+            " gain holds for smaller ones."
+        )
+
+
+def _note_drift(runs: Sequence[Run], model: AxisModel) -> Iterator[str]:
+    """Yield a note if no rest shows the drift of a known axis."""
+    if model.drift is None or model.dead_time_s is None or model.lag_s is None:
+        return
+    motions = [read_axis_motion(run, model.axis) for run in runs]
+    rests = find_rests(motions, model.dead_time_s.value, model.lag_s.value)
+    rested_s = float(np.concatenate([one.duration_s for one in motions])[rests].sum())
+    rested_s += sum(one.rested[0] for one in motions)
+    if rested_s < RESTED_S:
+        yield (
+            f"The robot never rests long enough in this log. The drift of the {NAMES[model.axis]}"
+            " is the one that its motion beside commands shows, and may be different at rest."
+        )
+
+
+def _note_one_beside(runs: Sequence[Run], model: AxisModel) -> Iterator[str]:
+    """Yield a note if a known axis is only commanded beside one command of the other axis."""
+    # Wheels that reach their limit together show only this one gain; other commands may have a
+    # larger gain.
+    other = OTHER[model.axis]
+    own, beside = (np.abs(_join_commands(runs, axis)) for axis in (model.axis, other))
+    beside = beside[own > 0.0]
+    if not model.is_known or not len(beside):
+        return
+    usual = float(np.median(beside))
+    if usual and np.mean(np.abs(beside - usual) <= _SAME_SIZE * usual) >= _MOSTLY:
+        yield (
+            f"Nearly all commands of the {NAMES[model.axis]} come together with a {NAMES[other]} of"
+            f" {usual:.3g} {UNITS[other]}. The log does not show the gain of the"
+            f" {NAMES[model.axis]} without this {NAMES[other]}."
+        )

@@ -18,20 +18,18 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from turtlelog.identify.axis_model import predict_axis
 from turtlelog.identify.axis_motion import (
     AXES,
     NAMES,
+    RESTED_S,
     Axis,
     get_commands,
-    predict_axis,
     read_axis_motion,
 )
 from turtlelog.identify.held_response import Values
 from turtlelog.identify.robot_model import RobotModel
 from turtlelog.run import Run
-
-RESTED_S: Final = 1.0
-"""Shortest rest that shows noise or a drift [s]: thirty poses of a usual robot."""
 
 _SETTLED_S: Final = 0.5
 """Time until a robot is at rest, after dead time and five time constants of the last command
@@ -332,7 +330,6 @@ _EXCLUDED: Final = 1e6
 
 NORMAL_MAD: Final = 1.4826
 """Standard deviation of normal noise divided by the median of its magnitude."""
-
 
 _OUTLIER: Final = 8.0
 """Size of an outlier in robust standard deviations; outliers do not count. Normal noise exceeds

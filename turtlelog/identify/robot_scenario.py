@@ -11,8 +11,9 @@ import numpy as np
 from turtlelog.display import describe_count, join_words
 from turtlelog.errors import IdentifyError, ScenarioError
 from turtlelog.escapes import escape_controls
+from turtlelog.identify.axis_model import AxisModel
 from turtlelog.identify.axis_motion import NAMES, OTHER, UNITS, Axis, get_commands
-from turtlelog.identify.robot_model import AxisModel, RobotModel
+from turtlelog.identify.robot_model import RobotModel
 from turtlelog.identify.robot_noise import WRITTEN_DIGITS, list_noise, round_written
 from turtlelog.run import Run
 from turtlelog.run.loops import LIMIT_KEYS, PLANT_KEYS

@@ -16,9 +16,10 @@ import numpy as np
 from turtlelog.arithmetic import SETTLING_BAND
 from turtlelog.identify import axis_fit
 from turtlelog.identify.axis_fit import EXTRA, GAIN, LAG, AxisFit
-from turtlelog.identify.axis_motion import AxisMotion, Parts, find_rests, split_motions
+from turtlelog.identify.axis_model import LEAST_BELOW
+from turtlelog.identify.axis_motion import RESTED_S, AxisMotion, Parts, find_rests, split_motions
 from turtlelog.identify.held_response import COUPLED, LIMITED_WHEELS, Order, Structure, Values
-from turtlelog.identify.robot_noise import LEAST_STEP, RESTED_S, Whitening
+from turtlelog.identify.robot_noise import LEAST_STEP, Whitening
 
 _ASKS: Final = 8.0
 """Possible decrease of the sum of squares from which a further parameter is tried, in variances;
@@ -61,9 +62,6 @@ _BESIDE: Final = (0.25, 0.4, 0.6, 0.8, 0.95)
 """The same shares for a limit of the wheels, and those of the largest command of the other axis.
 Commands may reach this limit only together."""
 
-LEAST_BELOW: Final = 0.02
-"""Share of the time with commands in which commands must stay below a bound: two messages gave a
-robot that drives at its bound a gain of four. Of random steps, more than a tenth stay below."""
 
 _DEADBANDS: Final = 12
 """Number of magnitudes up to half of the largest command that are tried as deadband, and then

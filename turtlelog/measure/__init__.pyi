@@ -34,6 +34,11 @@ from .metrics import (
     measure_run as measure_run,
     miss_metric as miss_metric,
 )
+from .pose_noise import (
+    Outlier as Outlier,
+    describe_outliers as describe_outliers,
+    list_outliers as list_outliers,
+)
 from .pose_quality import (
     TravelDirection as TravelDirection,
     describe_breaks as describe_breaks,
@@ -42,12 +47,7 @@ from .pose_quality import (
     describe_travel as describe_travel,
     find_travel_direction as find_travel_direction,
 )
-from .rates import (
-    Outlier as Outlier,
-    describe_outliers as describe_outliers,
-    find_outliers as find_outliers,
-    list_outliers as list_outliers,
-)
+from .rates import find_outliers as find_outliers
 from .references import read_reference as read_reference, read_reference_path as read_reference_path
 from .response import find_first_stretch as find_first_stretch
 from .run_context import MeasureSettings as MeasureSettings

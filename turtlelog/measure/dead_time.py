@@ -26,7 +26,7 @@ from turtlelog.measure.motion import (
 from turtlelog.measure.reductions import Values, compute_median, subtract_neighbours
 from turtlelog.measure.response import describe_no_phase, find_loop_samples
 from turtlelog.plants import PLANTS, find_plant, read_plant
-from turtlelog.run import Parameter, Run, take_rows
+from turtlelog.run import Parameter, Run
 from turtlelog.run.loops import ControlLoop, read_number
 
 if TYPE_CHECKING:
@@ -334,31 +334,6 @@ def _find_after_gaps(motion: LoopMotion) -> NDArray[np.bool_]:
 def _compute_margin(size: Values, best: int) -> float:
     second = float(np.delete(size, best).min())
     return second / float(size[best]) if size[best] > 0.0 else float("inf")
-
-
-_MOST_SAMPLES: Final = 20_000
-"""Largest number of samples of a loop in which its dead time is searched: five minutes of ticks."""
-
-_EARLIER_SAMPLES: Final = 1000
-"""Samples before the segment that are kept: more than can wait in any queue."""
-
-
-def take_beginning(run: Run, loop: ControlLoop) -> Run:
-    """Return the beginning of a run with at most 20,000 samples of a loop; or the whole run."""
-    samples = run.samples
-    if len(samples) <= _MOST_SAMPLES:
-        return run
-    stretch = find_loop_samples(run, loop)
-    first = 0 if stretch is None else stretch.start
-    rows = slice(max(first - _EARLIER_SAMPLES, 0), first + _MOST_SAMPLES)
-    read = samples.pose_sequence[rows]
-    poses = slice(int(read.min()), int(read.max()) + 1)
-    kept = take_rows(samples, rows)
-    return replace(
-        run,
-        poses=take_rows(run.poses, poses),
-        samples=replace(kept, pose_sequence=np.asarray(read - poses.start)),
-    )
 
 
 def model_run_loops(

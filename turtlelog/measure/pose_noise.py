@@ -1,4 +1,4 @@
-"""Noise, scatter and resolution of a robot's poses.
+"""Noise, scatter, resolution and outliers of a robot's poses and measured signals.
 
 A robot on wheels does not step sideways and back between two poses. The second differences of its
 steps across its heading therefore show the noise of the positions: of white noise they have six
@@ -14,9 +14,11 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from turtlelog.measure.rates import STEADY, find_changing_rows, space_poses
+from turtlelog.display import describe_count
+from turtlelog.measure.rates import STEADY, find_changing_rows, find_outliers, space_poses
 from turtlelog.measure.reductions import Values, compute_median, subtract_neighbours
 from turtlelog.measure.references import recall
+from turtlelog.measure.signals import find_signal
 from turtlelog.run import PoseColumns, Run, take_rows
 from turtlelog.run.angles import subtract_headings
 
@@ -351,3 +353,52 @@ def measure_steps(poses: PoseColumns) -> tuple[Values, Values, Values]:
 def measure_length(values: Values) -> Values:
     """Return the length of each row without overflow: the square of 1e300 is not finite."""
     return np.asarray(np.abs(np.hypot.reduce(values, axis=1)))
+
+
+MEASURED: Final = ("measured_speed", "measured_turn_rate")
+"""Signals that can have outliers. Published commands cannot."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outlier:
+    """A value that its neighbours on both sides contradict.
+
+    Attributes:
+        signal: Name of the signal, one of `MEASURED`.
+        row: Row of the poses.
+        time_ns: Time of the value [ns].
+        value: Value in the signal's unit.
+        unit: Unit of the signal.
+    """
+
+    signal: str
+    row: int
+    time_ns: int
+    value: float
+    unit: str
+
+
+def list_outliers(run: Run) -> tuple[Outlier, ...]:
+    """Return the outliers of a run's measured signals, by signal and then by time."""
+    found: list[Outlier] = []
+    for one in filter(None, (find_signal(run, name) for name in MEASURED)):
+        for row in find_outliers(one.time_ns, one.values).tolist():
+            at_ns, value = int(one.time_ns[row]), float(one.values[row])
+            found += [Outlier(signal=one.name, row=row, time_ns=at_ns, value=value, unit=one.unit)]
+    return tuple(found)
+
+
+def describe_outliers(run: Run) -> dict[str, str]:
+    """Return a sentence for each signal with outliers, by name of the signal."""
+    found: dict[str, list[Outlier]] = {}
+    for outlier in list_outliers(run):
+        found.setdefault(outlier.signal, []).append(outlier)
+    return {name: _describe(outliers, run.start_ns) for name, outliers in found.items()}
+
+
+def _describe(outliers: list[Outlier], start_ns: int) -> str:
+    """Return the number of outliers and the largest one: `1 outlier, -143.6 rad/s at 31.9 s`."""
+    worst = max(outliers, key=lambda outlier: abs(outlier.value))
+    count, at_s = describe_count(len(outliers), "outlier"), (worst.time_ns - start_ns) / 1e9
+    which = "" if len(outliers) == 1 else "the largest "
+    return f"{count}, {which}{worst.value:.1f} {worst.unit} at {at_s:.1f} s"

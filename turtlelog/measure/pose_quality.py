@@ -19,6 +19,7 @@ from turtlelog.measure.breaks import (
 )
 from turtlelog.measure.metric import Metric
 from turtlelog.measure.pose_noise import (
+    describe_outliers,
     find_pose_resolution,
     find_scatter,
     measure_rate_noise,
@@ -27,8 +28,7 @@ from turtlelog.measure.pose_noise import (
 from turtlelog.measure.rates import (
     AXES,
     Axis,
-    describe_outliers,
-    describe_repetition,
+    find_changing_rows,
     read_held_commands,
     space_poses,
 )
@@ -196,6 +196,14 @@ def describe_sideways(run: Run) -> str:
     ahead_m, aside_m, _ = measure_steps(take_rows(run.poses, rows))
     aside, ahead = (format_short(float(np.abs(way).sum()), "m") for way in (aside_m, ahead_m))
     return f"{commanded}; it moves {aside} sideways, {ahead} ahead or back"
+
+
+def describe_repetition(poses: PoseColumns) -> str:
+    """Return the rate at which poses change, if most repeat the previous one; otherwise empty."""
+    rows = find_changing_rows(poses)
+    if len(rows) == len(poses):
+        return ""
+    return f"{1e9 / compute_median(np.diff(poses.time_ns[rows])):.3g} Hz"
 
 
 _JUMPED: Final = 0.1

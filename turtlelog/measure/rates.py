@@ -13,9 +13,8 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.display import describe_count
 from turtlelog.measure.reductions import Values, compute_median, subtract_neighbours
-from turtlelog.measure.signals import find_no_commands, find_signal, sign_speeds
+from turtlelog.measure.signals import find_no_commands, sign_speeds
 from turtlelog.plants import find_plant
 from turtlelog.run import PoseColumns, Run
 from turtlelog.run.angles import unwrap_headings
@@ -298,9 +297,6 @@ def _find_silences(time_s: Values, values: Values, rates: Rates) -> Values:
     return np.column_stack([time_s[rows] + usual_s, time_s[rows + 1]])
 
 
-MEASURED: Final = ("measured_speed", "measured_turn_rate")
-"""Signals that can have outliers. Published commands cannot."""
-
 LONGEST_STEP_NS: Final = 250_000_000
 """Longest time to neighbours that can contradict a value [ns]: in this time a robot reaches 0.5 m/s
 at 2 m/s2."""
@@ -336,25 +332,6 @@ _LEAST_CHANGES: Final = 8
 constant signal may be a test impulse."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Outlier:
-    """A value that its neighbours on both sides contradict.
-
-    Attributes:
-        signal: Name of the signal, one of `MEASURED`.
-        row: Row of the poses.
-        time_ns: Time of the value [ns].
-        value: Value in the signal's unit.
-        unit: Unit of the signal.
-    """
-
-    signal: str
-    row: int
-    time_ns: int
-    value: float
-    unit: str
-
-
 def find_outliers(time_ns: NDArray[np.int64], values: Values) -> NDArray[np.int64]:
     """Return the rows of single values that are outliers of a measured signal, in order.
 
@@ -382,32 +359,6 @@ def find_outliers(time_ns: NDArray[np.int64], values: Values) -> NDArray[np.int6
     step_ns = np.maximum(time_ns[rows] - time_ns[rows - 1], time_ns[rows + 1] - time_ns[rows])
     is_outlier = (height[rows] > least) & (step_ns <= LONGEST_STEP_NS)
     return np.asarray(rows[is_outlier])
-
-
-def list_outliers(run: Run) -> tuple[Outlier, ...]:
-    """Return the outliers of a run's measured signals, by signal and then by time."""
-    found: list[Outlier] = []
-    for one in filter(None, (find_signal(run, name) for name in MEASURED)):
-        for row in find_outliers(one.time_ns, one.values).tolist():
-            at_ns, value = int(one.time_ns[row]), float(one.values[row])
-            found += [Outlier(signal=one.name, row=row, time_ns=at_ns, value=value, unit=one.unit)]
-    return tuple(found)
-
-
-def describe_outliers(run: Run) -> dict[str, str]:
-    """Return a sentence for each signal with outliers, by name of the signal."""
-    found: dict[str, list[Outlier]] = {}
-    for outlier in list_outliers(run):
-        found.setdefault(outlier.signal, []).append(outlier)
-    return {name: _describe(outliers, run.start_ns) for name, outliers in found.items()}
-
-
-def _describe(outliers: list[Outlier], start_ns: int) -> str:
-    """Return the number of outliers and the largest one: `1 outlier, -143.6 rad/s at 31.9 s`."""
-    worst = max(outliers, key=lambda outlier: abs(outlier.value))
-    count, at_s = describe_count(len(outliers), "outlier"), (worst.time_ns - start_ns) / 1e9
-    which = "" if len(outliers) == 1 else "the largest "
-    return f"{count}, {which}{worst.value:.1f} {worst.unit} at {at_s:.1f} s"
 
 
 def _find_apart(height: Values) -> NDArray[np.int64]:
@@ -464,14 +415,6 @@ def find_changing_rows(poses: PoseColumns) -> NDArray[np.int64]:
         if usual >= 2 and many <= STEADY * few:
             return np.concatenate([[0], moving])
     return np.arange(len(poses))
-
-
-def describe_repetition(poses: PoseColumns) -> str:
-    """Return the rate at which poses change, if most repeat the previous one; otherwise empty."""
-    rows = find_changing_rows(poses)
-    if len(rows) == len(poses):
-        return ""
-    return f"{1e9 / compute_median(np.diff(poses.time_ns[rows])):.3g} Hz"
 
 
 _LEAPS: Final = 3.0

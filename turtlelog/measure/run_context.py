@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Hashable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Final, Literal, TypeVar, cast
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from turtlelog.arithmetic import SETTLING_BAND
 from turtlelog.errors import MeasureError
 from turtlelog.measure import rates
-from turtlelog.measure.dead_time import find_dead_time, take_beginning
+from turtlelog.measure.dead_time import find_dead_time
 from turtlelog.measure.loop_segment import Aim, aim_at, find_row_from
 from turtlelog.measure.metric import Missing
 from turtlelog.measure.reductions import Values, compute_median, subtract_neighbours
@@ -22,9 +22,9 @@ from turtlelog.measure.references import (
     read_heading_reference,
     read_reference,
 )
-from turtlelog.measure.response import Response, find_response
+from turtlelog.measure.response import Response, find_loop_samples, find_response
 from turtlelog.measure.signals import Signal, find_signal
-from turtlelog.run import Run
+from turtlelog.run import Run, take_rows
 from turtlelog.run.loops import ControlLoop, Declaration
 
 if TYPE_CHECKING:
@@ -352,3 +352,29 @@ class RunContext:
             lambda: find_dead_time(take_beginning(self.run, loop), loop, is_short=True),
         )
         return found if isinstance(found, Missing) else found.ticks
+
+
+_MOST_SAMPLES: Final = 20_000
+"""Largest number of samples of a loop in which its dead time is searched: five minutes of ticks."""
+
+
+_EARLIER_SAMPLES: Final = 1000
+"""Samples before the segment that are kept: more than can wait in any queue."""
+
+
+def take_beginning(run: Run, loop: ControlLoop) -> Run:
+    """Return the beginning of a run with at most 20,000 samples of a loop; or the whole run."""
+    samples = run.samples
+    if len(samples) <= _MOST_SAMPLES:
+        return run
+    stretch = find_loop_samples(run, loop)
+    first = 0 if stretch is None else stretch.start
+    rows = slice(max(first - _EARLIER_SAMPLES, 0), first + _MOST_SAMPLES)
+    read = samples.pose_sequence[rows]
+    poses = slice(int(read.min()), int(read.max()) + 1)
+    kept = take_rows(samples, rows)
+    return replace(
+        run,
+        poses=take_rows(run.poses, poses),
+        samples=replace(kept, pose_sequence=np.asarray(read - poses.start)),
+    )

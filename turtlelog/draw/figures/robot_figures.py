@@ -31,7 +31,8 @@ from turtlelog.draw.figures.figure_curves import (
 from turtlelog.draw.figures.page import MEASURED, MODELLED, REFERENCE, Page, fix_style, use_looks
 from turtlelog.draw.figures.time_panels import shade_gaps
 from turtlelog.errors import ShowError
-from turtlelog.identify.axis_motion import join_rates, measure_axis_steps, read_axis_motion
+from turtlelog.identify.axis_model import join_rates
+from turtlelog.identify.axis_motion import measure_axis_steps, read_axis_motion
 from turtlelog.run import Run
 from turtlelog.run.angles import Trajectory
 from turtlelog.run.loops import COMMAND_UNITS, COMMAND_WORDS
