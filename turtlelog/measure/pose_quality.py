@@ -198,7 +198,7 @@ def describe_sideways(run: Run) -> str:
     return f"{commanded}; it moves {aside} sideways, {ahead} ahead or back"
 
 
-def describe_repetition(poses: PoseColumns) -> str:
+def _describe_repetition(poses: PoseColumns) -> str:
     """Return the rate at which poses change, if most repeat the previous one; otherwise empty."""
     rows = find_changing_rows(poses)
     if len(rows) == len(poses):
@@ -224,7 +224,7 @@ def describe_source(run: Run) -> dict[str, str]:
 def describe_breaks(run: Run) -> dict[str, str]:
     """Return a sentence on `repeated`, `jumps` and `gaps`, for each that is not empty."""
     found = {}
-    if changes := describe_repetition(run.poses):
+    if changes := _describe_repetition(run.poses):
         found["repeated"] = f"most positions repeat the one before; they change at {changes}"
     if jumps := find_jumps(run):
         found["jumps"] = _tell_jumps(run, jumps)
@@ -363,7 +363,7 @@ def _describe_answers(run: Run, metrics: Mapping[str, Metric], step_s: float) ->
 
 
 def _describe_times(run: Run) -> dict[str, str]:
-    changes = describe_repetition(run.poses)
+    changes = _describe_repetition(run.poses)
     gaps_s = sum(gap.end_ns - gap.start_ns for gap in find_gaps(run)) / 1e9
     least_s = {"gaps": _COUNTED * run.duration_s, "large_gaps": _LARGE * run.duration_s}
     gaps = {name: format_short(gaps_s, "s") for name in least_s if gaps_s > least_s[name]}
