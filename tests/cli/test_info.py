@@ -93,7 +93,7 @@ def test_rows_that_are_missing_from_an_even_rate_are_told(
     path.write_text("\n".join(["t,x,y,yaw", *rows]), "utf-8")
     lost = 100.0 * (1.0 - len(kept) / 1000)
     mean = 50.0 * (len(kept) - 1) / (kept[-1] - kept[0])
-    told = f", {lost:.0f} % of the rows at this rate are missing ({mean:.3g} Hz on average)"
+    told = f", {lost:.0f} % fewer rows than at an even rate ({mean:.3g} Hz on average)"
     poses = call("info", path, "--json").json[0]["run"]["poses"]
     assert poses == f"50 Hz, {len(kept)} rows{told if is_told else ''}"
 

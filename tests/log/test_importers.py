@@ -200,7 +200,7 @@ def test_wrong_metadata_is_named(tmp_path: Path) -> None:
         (b"[" * 100_000, "nested too deeply"),
         (b'{"data": ' + b"9" * 5000 + b"}", "expected JSON, found: "),
         (b'{"data": "\xff"}', "byte 10: expected UTF-8 text, found 0xff"),
-        (b"\x00\x00\x00", "expected JSON"),
+        (b"\x00\x00\x00", "only zero bytes; copy the file again from its source"),
         (b"\x89MCAP0\r\n", "expected a log in JSON or CSV, found MCAP, which is read as it is"),
     ],
 )

@@ -141,7 +141,7 @@ def write_rows(path: Path, rows: int) -> Path:
 def test_a_table_of_text_has_as_many_rows_as_one_of_parquet(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("turtlelog.log.parquet_file.MOST_ROWS", 50)
+    monkeypatch.setattr("turtlelog.log.engine.limits.MOST_ROWS", 50)
     assert len(tl.read_run(write_rows(tmp_path / "log.csv", 50)).poses) == 50
     with pytest.raises(TurtlelogError, match="has more than 50 rows; 50 are the most"):
         tl.read_run(write_rows(tmp_path / "log.csv", 51))

@@ -14,6 +14,7 @@ import pytest
 import turtlelog as tl
 from turtlelog.errors import LogError
 from turtlelog.log import parquet_file
+from turtlelog.log.engine import limits
 from turtlelog.log.engine.limits import MOST_ROWS
 from turtlelog.log.parquet_file import ParquetFile
 from turtlelog.sweep.result_table import (
@@ -78,11 +79,11 @@ def test_a_large_file_has_a_row_for_every_8_bytes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = write(tmp_path / "drive.parquet", 2000, compression="none", use_dictionary=False)
-    monkeypatch.setattr(parquet_file, "SMALL_FILE", 1000)
-    monkeypatch.setattr(parquet_file, "MOST_ROWS", 1000)
+    monkeypatch.setattr(limits, "SMALL_FILE", 1000)
+    monkeypatch.setattr(limits, "MOST_ROWS", 1000)
     ParquetFile(path).require_rows()
     packed = write(tmp_path / "still.parquet", 2000)
-    monkeypatch.setattr(parquet_file, "_ROW_BYTES", packed.stat().st_size // 2000 + 1)
+    monkeypatch.setattr(limits, "ROW_BYTES", packed.stat().st_size // 2000 + 1)
     with pytest.raises(LogError, match="write it without compression"):
         ParquetFile(packed).require_rows()
 

@@ -268,7 +268,8 @@ def test_unlikely_units_are_told(
     ("header", "step", "speed_m_s", "told"),
     [
         ("t,x,y,yaw", 4.0, 0.009, "poses are 4 s apart and the robot drives at most 0.009 m/s;"),
-        ("t,x,y,yaw", 1.0, 0.009, "if they are ms: --column t='t [ms]'"),
+        ("t,x,y,yaw", 2.0, 0.009, "if they are ms: --column t='t [ms]'"),
+        ("t,x,y,yaw", 1.0, 0.009, ""),
         ("t,x,y,yaw", 4.0, 0.011, ""),
         ("t,x,y,yaw", 2.5, 0.009, ""),
         ("t [s],x,y,yaw", 4.0, 0.009, ""),
@@ -289,10 +290,10 @@ def test_a_robot_that_only_crawls_in_whole_seconds_is_told(
 @pytest.mark.parametrize(
     ("header", "speed_m_s", "turn_rate_rad_s", "told"),
     [
-        ("t,x,y,yaw", 45.0, 0.8, "so accelerations reach 35.5 m/s^2; if they are cm (or mm):"),
-        ("t,x,y,yaw", 45.0, 0.6, ""),
+        ("t,x,y,yaw", 50.0, 1.05, "m/s^2; if they are cm (or mm):"),
+        ("t,x,y,yaw", 50.0, 0.95, ""),
         ("t,x,y,yaw", 33.0, 0.1, ""),
-        ("t,x [m],y [m],yaw", 45.0, 0.8, ""),
+        ("t,x [m],y [m],yaw", 50.0, 1.05, ""),
     ],
 )
 def test_curves_that_no_robot_drives_are_told(

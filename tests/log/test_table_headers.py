@@ -159,3 +159,21 @@ def test_a_column_without_a_name_is_shown_by_its_number(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="no column for t; there are #1, x, y, yaw: "):
         read_run(path)
     assert len(read_run(path, columns={"t": "#1"}).poses) == 1
+
+
+@pytest.mark.parametrize(
+    ("names", "speed"),
+    [
+        ("cmd_vx,measured_cmd_vx,cmd_wz", "cmd_vx"),
+        ("cmd_actual_vx,cmd_vx,cmd_wz", "cmd_vx"),
+        ("cmd_odom_lin,other,cmd_wz", ""),
+        ("cmd_lin,cmd_linear,cmd_wz", ""),
+    ],
+)
+def test_only_one_sure_name_is_a_command(names: str, speed: str, tmp_path: Path) -> None:
+    """Optional columns never stop a file; unsure ones are named with the option that reads them."""
+    rows = [f"{number / 10},{number},0,0,0.1,0.2,0.3" for number in range(5)]
+    run = read_run(write(tmp_path, f"t,x,y,yaw,{names}", *rows))
+    assert (f"command_speed from {speed} " in run.notes["chosen"]) == bool(speed)
+    assert "command_turn_rate from cmd_wz " in run.notes["chosen"]
+    assert speed or "command_speed from" not in run.notes["chosen"]

@@ -131,6 +131,21 @@ def test_a_silence_in_which_the_robot_stops_is_no_held_command(*, stops: bool) -
     assert told == ("8 silences of the commands, 16 s in all" if stops else None)
 
 
+def test_a_robot_that_still_speeds_up_in_a_silence_does_not_stop() -> None:
+    """A program that pauses after each step of a slow robot is no watchdog."""
+    time_s = np.arange(0.0, 60.0, 0.02)
+    steps = [(float(start), 0.5) for start in np.arange(2.0, 54.0, 8.0)]
+    steps += [(start + 4.0, 0.0) for start, _ in steps]
+    sent_s = np.concatenate(
+        [[start, *(start + 0.7 + np.arange(0.0, 3.3, 0.1))] for start, _ in sorted(steps)]
+    )
+    values = np.repeat([value for _, value in sorted(steps)], 34)
+    driven = respond(time_s, sorted(steps), 1.2, 0.05)
+    commands = sent_s, values, np.zeros(len(sent_s))
+    run = make_driven_run(time_s, speed=driven, commands=commands, reports=True)
+    assert "silences" not in describe_answers(run)
+
+
 def test_commands_that_add_up_to_nearly_nothing_are_one() -> None:
     steps = [(2.0, 0.3), (4.0, 0.3 + 1e-12), (6.0, 1e-17), (7.0, 0.0)]
     assert read(drive(steps=steps), "run.speed_steps") == 2.0

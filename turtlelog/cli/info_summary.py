@@ -413,13 +413,13 @@ def _find_lost(step_ns: "NDArray[Any]") -> float:
 
 
 def _describe_lost(time_ns: "NDArray[Any]", noun: str) -> str:
-    """Return the share of lost messages and the mean rate; empty if few are lost."""
+    """Return how many messages an even rate would add, and the mean rate; empty if few."""
     import numpy as np
 
     if not (lost := _find_lost(np.diff(time_ns))):
         return ""
     mean = _format_hz((len(time_ns) - 1) / (float(time_ns[-1] - time_ns[0]) / 1e9))
-    return f"{100.0 * lost:.0f} % of the {noun}s at this rate are missing ({mean} on average)"
+    return f"{100.0 * lost:.0f} % fewer {noun}s than at an even rate ({mean} on average)"
 
 
 def _format_hz(rate: float) -> str:

@@ -227,7 +227,11 @@ def _describe_gaps(
     values: Mapping[str, Values], has_pose: NDArray[np.bool_], commands: CommandColumns
 ) -> dict[str, str]:
     notes, rows = {}, len(has_pose)
-    if missing := rows - int(has_pose.sum()):
+    is_used = has_pose.copy()  # rows of commands may stand between those of poses
+    for name in ("command_speed", "command_turn_rate"):
+        if name in values:
+            is_used |= ~np.isnan(values[name])
+    if missing := rows - int(is_used.sum()):
         notes["rows_without_pose"] = f"{missing} of {rows}"
     if len(commands) and (missing := rows - len(commands)):
         notes["rows_without_command"] = f"{missing} of {rows}"

@@ -331,7 +331,8 @@ def describe_mixed_topics(chosen: Mapping[str, Choice]) -> str:
     return f"the pose is joined from several topics: {'; '.join(parts)}"
 
 
-def _guess(field: str, names: Sequence[str], taken: set[int], home: str) -> Choice | None:
+def _rank_columns(field: str, names: Sequence[str], taken: set[int]) -> dict[int, list[Choice]]:
+    """Return the columns whose names match a quantity, by rank."""
     ranked: dict[int, list[Choice]] = {}
     for place, name in enumerate(names):
         if place in taken or len(name) > _LONGEST_NAME:
@@ -341,6 +342,11 @@ def _guess(field: str, names: Sequence[str], taken: set[int], home: str) -> Choi
         if rank is not None:
             choice = Choice(field=field, column=place, name=name.strip(), unit=unit)
             ranked.setdefault(rank, []).append(choice)
+    return ranked
+
+
+def _guess(field: str, names: Sequence[str], taken: set[int], home: str) -> Choice | None:
+    ranked = _rank_columns(field, names, taken)
     if not ranked:
         return None
     if field in _OF_POSE and home:  # a pose is of one topic
@@ -351,6 +357,8 @@ def _guess(field: str, names: Sequence[str], taken: set[int], home: str) -> Choi
         }
         ranked = {rank: of for rank, of in near.items() if of}
     best = ranked[min(ranked)]
+    if min(ranked) == _RARELY and len(best) > 1:
+        return None  # they are named as columns that may be commands
     if field == "heading" and any(_split_name(field, name)[0] == "phi" for name in names):
         # Of the Euler angles phi, theta and psi, theta is the pitch.
         best = [one for one in best if _split_name(field, one.name)[0] != "theta"] or best
@@ -403,7 +411,10 @@ def _rank(field: str, base: str) -> int | None:
     tails = ("_".join(short[place:]) for place in range(1, len(short) - 1))
     if any(tail in known for tail in tails):
         return 2
-    return 3 if "_".join(short) in _OF_COMMANDS.get(field, "").split() else None
+    return _RARELY if "_".join(rest) in _OF_COMMANDS.get(field, "").split() else None
+
+
+_RARELY: Final = 3  # rank of the further names of commands
 
 
 def _split_name(field: str, name: str, *, is_asked: bool = False) -> tuple[str, str | None]:

@@ -177,15 +177,19 @@ whole numbers of seconds are doubted [m/s, m]: slower than what counts as rest."
 
 _CURVE_NS: Final = 500_000_000
 
-_STRONGEST_M_S2: Final = 30.0
+_STRONGEST_M_S2: Final = 49.0
 """Time over which accelerations are measured [ns], and the largest that is not doubted in a tenth
-of it [m/s^2]: 3 g, twice that of a racing kart. 0.5 m/s and 1 rad/s in cm are 50 m/s^2."""
+of it [m/s^2]: 5 g, as racing cars reach. 0.5 m/s and 1 rad/s in cm are 50 m/s^2."""
 
 _ACCELERATED: Final = 0.9
 
 _FEWEST_CURVES: Final = 12
 
 _SECOND_NS: Final = 1_000_000_000
+
+_SLOWEST_NS: Final = 2 * _SECOND_NS
+"""Shortest usual step between times in whole seconds that is doubted [ns]: many a log has one row a
+second, and few robots have a pose every ms."""
 
 
 def describe_units(
@@ -240,6 +244,8 @@ def _describe_crawl(time_ns: TimesNs, xy_m: Values, columns: Mapping[str, str]) 
     """Return a sentence on times in whole seconds in which a robot is never faster than rest."""
     step_ns = np.diff(time_ns)
     if "t" not in columns or (step_ns % _SECOND_NS).any() or not step_ns.all():
+        return ""
+    if float(np.median(step_ns)) < _SLOWEST_NS:
         return ""
     fastest_m_s = float(np.quantile(np.hypot(*np.diff(xy_m, axis=0).T) / (step_ns / 1e9), 0.99))
     if fastest_m_s > _CRAWL_M_S or float(np.ptp(xy_m, axis=0).max()) < _LEAST_EXTENT_M:

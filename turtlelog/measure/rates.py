@@ -275,7 +275,9 @@ _STOPPED: Final = 0.5
 robot has stopped. In a silence a little longer than the watchdog's time, the robot still brakes."""
 
 _MOSTLY: Final = 0.5
-"""Share of the silences with a stop from which a watchdog, and no obstacle, stops the robot."""
+_FEWEST_STOPS: Final = 3
+"""Share of the silences with a stop, and number of stops, from which a watchdog, and no obstacle,
+stops the robot."""
 
 
 def _find_silences(time_s: Values, values: Values, rates: Rates) -> Values:
@@ -290,9 +292,11 @@ def _find_silences(time_s: Values, values: Values, rates: Rates) -> Values:
     for row in rows.tolist():
         late_s = [time_s[row + 1] - held_s[row] / 3.0, time_s[row + 1]]
         late = rates.values[slice(*np.searchsorted(rates.time_s, late_s))]
-        is_slow = len(late) > 0 and abs(late.mean()) < _STOPPED * abs(values[row])
-        has_stopped.append(bool(is_slow))
-    if not len(rows) or np.mean(has_stopped) <= _MOSTLY:
+        whole = rates.values[slice(*np.searchsorted(rates.time_s, time_s[[row, row + 1]]))]
+        # A robot that still speeds up is slow, too, but its rate does not fall.
+        largest = min(abs(float(values[row])), float(np.abs(whole).max(initial=0.0)))
+        has_stopped.append(len(late) > 0 and abs(float(late.mean())) < _STOPPED * largest)
+    if sum(has_stopped) < _FEWEST_STOPS or np.mean(has_stopped) <= _MOSTLY:
         return np.empty((0, 2))
     return np.column_stack([time_s[rows] + usual_s, time_s[rows + 1]])
 

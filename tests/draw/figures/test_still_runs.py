@@ -40,3 +40,18 @@ def test_a_legend_lists_only_what_its_panels_show(still: tl.Run, name: str) -> N
 def test_a_value_of_0_that_no_effect_changes_has_no_attribution(still: tl.Run) -> None:
     with pytest.raises(ShowError, match=r"final\.position_error is 0 m: no effect changes it"):
         tl.draw.draw_figure("attribution", [still])
+
+
+def test_several_straight_runs_are_drawn_and_each_keeps_its_name(still: tl.Run) -> None:
+    textbook = tl.scenario.get_preset("textbook")
+    ahead = replace(textbook, goal=replace(textbook.goal, x_m=9.0, y_m=textbook.start.y_m))
+    straight = [
+        tl.simulate_run(tl.override_scenario(ahead, {"law.kp_linear": kp, "name": f"kp{kp:g}"}))
+        for kp in (1.0, 4.0)
+    ]
+    for runs in (straight, [still, straight[0]]):
+        for name in ("error-log", "panel"):
+            tl.draw.draw_figure(name, runs).draw_without_rendering()  # warnings are errors
+    figure = tl.draw.draw_figure("turn-rate", straight)
+    listed = {text.get_text() for one in figure.legends for text in one.get_texts()}
+    assert {"kp1", "kp4"} <= listed

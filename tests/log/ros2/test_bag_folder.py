@@ -76,7 +76,8 @@ def test_a_bag_whose_metadata_is_broken_is_read_and_says_so(text: str, tmp_path:
     found = note(tmp_path)
     assert found is not None
     assert re.search(
-        r"metadata\.yaml: .*(expected .*|is missing); in order of name: a\.db3$", found
+        r"metadata\.yaml: .*(expected .*|is missing|only zero bytes.*); in order of name: a\.db3$",
+        found,
     )
 
 

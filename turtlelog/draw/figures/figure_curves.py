@@ -47,11 +47,18 @@ def draw_thinned(
     if len(up) == 1:  # a line needs two points
         looks |= {"marker": "o", "ms": 3.0, "markevery": None}
     if every := looks.get("markevery"):
-        # Marks are spaced along the curve, or by rows if it oscillates.
-        known = up[np.isfinite(up)]
-        if np.abs(np.diff(known)).sum() > _MOST_SWINGS * np.ptp(known):
-            looks["markevery"] = tuple(ceil(share * len(up)) for share in every)
+        looks["markevery"] = _space_marks(up, every)
     axes.plot(across, up, **looks)
+
+
+def _space_marks(up: curves.Values, every: tuple[float, float]) -> tuple[float, float] | None:
+    """Return the marks of a curve: along it, or by rows if it oscillates; None if it is empty."""
+    known = up[np.isfinite(up)]
+    if not len(known):
+        return None
+    oscillates = np.abs(np.diff(known)).sum() > _MOST_SWINGS * np.ptp(known)
+    first, then = every
+    return (ceil(first * len(up)), ceil(then * len(up))) if oscillates else every
 
 
 def draw_points(axes: Axes, across: curves.Values, up: curves.Values, **looks: Any) -> None:
@@ -145,13 +152,19 @@ def _is_within(axes: Axes, line: Line2D) -> bool:
 
 
 def _is_covered(axes: Axes, line: Line2D) -> bool:
-    """Return whether a constant curve of the same value, solid and as wide, is above a curve."""
-    value = _find_constant(line)
+    """Return whether a constant curve of the same value, solid and as wide, is above a curve.
+
+    Of several runs, whose curves have marks, each keeps its name.
+    """
+    value = None if line.get_markevery() else _find_constant(line)
+    begin, end = np.nanmin(line.get_xdata()), np.nanmax(line.get_xdata())
     lines = sorted(axes.get_lines(), key=Line2D.get_zorder)  # as drawn
     return value is not None and any(
         _find_constant(other) == value
         and other.get_linestyle() == "-"
         and other.get_linewidth() >= line.get_linewidth()
+        and np.nanmin(other.get_xdata()) <= begin
+        and np.nanmax(other.get_xdata()) >= end
         for other in lines[lines.index(line) + 1 :]
     )
 
