@@ -126,7 +126,7 @@ IDEAL: Final[Color] = (128, 128, 128)
 """Colour of ideal responses and moving references: at least 3.9:1 to white and to `GROUND`."""
 
 DEAD_TIME: Final[Color] = _PURPLE
-"""Colour of dead times: bars below the phases, spans in plots, ideal responses with a dead time."""
+"""Colour of dead times: of the bar below the bars of the phases, and of spans in plots."""
 
 EVENT: Final[Color] = (176, 124, 64)  # colour of events
 WALL_HIT: Final[Color] = _VERMILION  # colour of a turtle's contacts with the wall

@@ -168,18 +168,3 @@ def test_infinite_limits_draw_no_line(tmp_path: Path) -> None:
     assert not {"/reference/speed/limits", "/reference/turn_rate/limits"} & list_entities(
         tmp_path / "run.rrd"
     )
-
-
-def test_the_response_with_a_dead_time_differs_from_the_ideal_in_colour_and_name(
-    run_rrd: Path,
-) -> None:
-    looks = [
-        [
-            read_static(run_rrd, f"/heading_deg/{name}", f"SeriesLines:{part}")
-            for part in ("colors", "names")
-        ]
-        for name in ("ideal", "sampled")
-    ]
-    assert looks[0][0] != looks[1][0]
-    assert "ideal" in looks[0][1][0]
-    assert "64 ms dead time" in looks[1][1][0]

@@ -421,12 +421,12 @@ def _compute_sampled(
         initial=step.initial,
         reference=step.reference,
     )
-    label = f"sampled, {dead_time.value * 1e3:.3g} ms dead time"
+    label = f"+ {dead_time.value * 1e3:.3g} ms dead time"
     time_s = np.arange(count) * period_s
     yield Series(
         entity=_join(entities.name_plot(step.loop.signal), entities.SAMPLED, of),
         labels=(f"{label}, {of}" if of else label,),
-        colors=(palette.DEAD_TIME,),
+        colors=(palette.IDEAL,),
         time_ns=step.start_ns + np.rint(time_s * 1e9).astype(np.int64),
         values=values[:, np.newaxis],
         width=1.0,
