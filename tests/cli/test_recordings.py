@@ -135,7 +135,7 @@ def test_convert_and_metrics_take_the_papers_logs(call: Call, tmp_path: Path) ->
     ("words", "line"),
     [
         (["info", "missing.mcap"], "missing.mcap: no such file"),
-        (["info", "zeros.mcap"], "zeros.mcap: byte 0: not an MCAP file"),
+        (["info", "zeros.mcap"], "zeros.mcap: only zero bytes; copy the file again"),
         (["info", "empty.mcap"], "empty.mcap: byte 0: not an MCAP file: it is empty"),
         (["metrics", "cut.mcap"], "no end of an MCAP file"),
         (["metrics", "folder"], "folder: no recordings in this folder"),
@@ -143,7 +143,7 @@ def test_convert_and_metrics_take_the_papers_logs(call: Call, tmp_path: Path) ->
         (["metrics"], "turtlelog metrics needs FILE. Usage: turtlelog metrics"),
         (["compare", "good.mcap"], "compare needs at least two runs, but 1 was given; add another"),
         (["compare", "missing.mcap"], "missing.mcap: no such file"),
-        (["compare", "good.mcap", "zeros.mcap"], "zeros.mcap: byte 0"),
+        (["compare", "good.mcap", "zeros.mcap"], "zeros.mcap: only zero bytes"),
         (["convert", "good.mcap", "-o", "b.mcap", "--sort"], "good.mcap: expected a log in JSON"),
         (
             ["view", "good.mcap", "--at", "3"],

@@ -73,7 +73,7 @@ def test_recover_says_where_nothing_was_lost(call: Call, kp4: Path, tmp_path: Pa
         (["none.mcap", "-o", "out.mcap"], "none.mcap: no such file"),
         (
             ["zeros.mcap", "-o", "out.mcap"],
-            "zeros.mcap: no message can be recovered: not an MCAP file: ",
+            "zeros.mcap: only zero bytes; copy the file again from its source",
         ),
         (
             ["cut.mcap", "-o", "cut.mcap"],

@@ -214,7 +214,7 @@ def test_a_heading_that_points_backward_is_no_fault_of_the_driver() -> None:
     assert model.speed.gain is not None
     assert model.speed.gain.value == pytest.approx(1.0, abs=0.01)
     (note,) = [note for note in model.notes if "deg to the right of its heading" in note]
-    assert "speeds along the heading are wrong" in note
+    assert "speeds along the heading have the wrong sign" in note
 
 
 def test_wheels_that_turn_against_their_commands_keep_the_heading() -> None:

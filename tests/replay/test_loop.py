@@ -209,7 +209,7 @@ def test_a_long_time_limit_that_is_not_reached_changes_nothing(kp10: Run) -> Non
 
 
 def test_a_tolerance_is_a_number(kp10: Run) -> None:
-    with pytest.raises(ReplayError, match="tolerance: expected a number >= 0"):
+    with pytest.raises(ReplayError, match="tolerance: expected a finite number >= 0"):
         replay_loop(kp10, tolerance=-1.0)
 
 

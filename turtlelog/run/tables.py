@@ -5,6 +5,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
+from itertools import zip_longest
 from numbers import Real
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
@@ -285,7 +286,7 @@ class PhaseSpan:
 
 def describe_phase_lengths(spans: Sequence[PhaseSpan]) -> Iterator[str]:
     """Yield the length of each phase with its pause, as metrics count it."""
-    for span, after in zip(spans, (*spans[1:], None), strict=True):
+    for span, after in zip_longest(spans, spans[1:]):
         if span.phase == PAUSE:
             continue
         is_paused = after is not None and after.phase == PAUSE

@@ -321,7 +321,10 @@ def test_cut_files_by_others_keep_a_prefix(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("data", [b"", b"\x89MCAP0\r\n", bytes(3000), b"time,x\n" * 900])
 def test_what_holds_no_message_is_one_line(data: bytes, tmp_path: Path) -> None:
-    with pytest.raises(LogError, match=r"\A\S+in\.mcap: no message can be recovered: [^\n]+"):
+    with pytest.raises(
+        LogError,
+        match=r"\A\S+in\.mcap: (no message can be recovered: [^\n]+|only zero bytes; [^\n]+)\Z",
+    ):
         recover(data, tmp_path)
     assert not (tmp_path / "out.mcap").exists()
 
