@@ -90,7 +90,7 @@ def attach_names(package: str, file: str) -> tuple[Callable[[str], Any], Callabl
         if name == "__all__":
             return list_names()
         if name not in listed and not name.startswith("_"):
-            raise AttributeError(_describe_unknown(package, name, list_names()))
+            raise _UnknownNameError(package, name, list_names())
         try:
             return load(name)
         except LibraryError as err:
@@ -100,13 +100,16 @@ def attach_names(package: str, file: str) -> tuple[Callable[[str], Any], Callabl
     return load_name, lambda: list_names().copy()
 
 
-def _describe_unknown(package: str, name: str, known: list[str]) -> str:
-    """Return the message for a name that a package does not have, with the nearest name."""
-    from difflib import get_close_matches  # only for this message
+class _UnknownNameError(AttributeError):
+    """A name that a package does not have. Its message, with the nearest name, is seldom read."""
 
-    nearest = get_close_matches(name, known, n=1)
-    advice = f"; did you mean {nearest[0]}?" if nearest else ""
-    return f"No {package} attribute {name}{advice}"
+    def __str__(self) -> str:
+        from difflib import get_close_matches
+
+        package, name, known = self.args
+        nearest = get_close_matches(name, known, n=1)
+        advice = f"; did you mean {nearest[0]}?" if nearest else ""
+        return f"No {package} attribute {name}{advice}"
 
 
 def _list_lacking(package: str, file: str) -> Iterator[str]:

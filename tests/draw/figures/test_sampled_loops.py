@@ -130,7 +130,7 @@ def test_a_step_response_is_theorys_and_an_unstable_one_is_said_to_be_so_and_cut
     assert np.isnan(values[beyond.argmax() + 1 :]).all()
     assert "rotate: unstable" in list_legend(tl.draw.draw_figure("bode", [wild]))
     locus = list_legend(tl.draw.draw_figure("root-locus", [wild]))
-    assert "Kp = 150 (unstable)" in locus
+    assert "rotate Kp = 150 (unstable), translate Kp = 1" in locus
 
 
 @pytest.mark.parametrize("name", EXTRA)
