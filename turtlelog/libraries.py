@@ -104,6 +104,8 @@ class _UnknownNameError(AttributeError):
     """A name that a package does not have. Its message, with the nearest name, is seldom read."""
 
     def __str__(self) -> str:
+        if len(self.args) < 3:
+            return super().__str__()
         from difflib import get_close_matches
 
         package, name, known = self.args
