@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from tests.cli.conftest import SPEC, Call, call as call
-from tests.cli.test_robot_metrics import write_robot
+from tests.cli.step_robots import write_robot
 from turtlelog import processes
 from turtlelog.errors import make_portable
 

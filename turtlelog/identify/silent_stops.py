@@ -150,7 +150,9 @@ def _find_watchdog(
     `silences` are begin [s], end [s] and magnitude of the held command.
     """
     falls_s = [_find_fall(row[0], row[1], row[2], time_s, moved) for row in silences]
-    waits_s = [fall_s - row[0] for fall_s, row in zip(falls_s, silences, strict=True) if fall_s]
+    waits_s = [
+        fall_s - row[0] for fall_s, row in zip(falls_s, silences, strict=True) if fall_s is not None
+    ]
     if len(waits_s) < _FEWEST_FALLS:
         return []
     misfit = _StopMisfit(command_s, command, silences, time_s, moved, memory_s)
